@@ -10,11 +10,13 @@ if TYPE_CHECKING:
     from can_rig.api import (
         Comparison,
         RecordedRun,
+        ReplayedDrive,
         check,
         compare,
         decode,
         load,
         load_scenario,
+        replay,
         run,
         tune,
     )
@@ -22,11 +24,13 @@ if TYPE_CHECKING:
 __all__ = [
     "Comparison",
     "RecordedRun",
+    "ReplayedDrive",
     "check",
     "compare",
     "decode",
     "load",
     "load_scenario",
+    "replay",
     "run",
     "tune",
 ]

@@ -9,11 +9,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from firmware_model.law import controller, schedule
+from firmware_model.law.fault_decision.hypotheses import verdict
 from firmware_model.law.fault_decision.lost_commands import act_first
 from firmware_model.law.fault_decision.mismatch import doubt_motion
 from firmware_model.law.filters import biquad
-from firmware_model.law.layout import precision_of
-from firmware_model.law.structs import FloatArray, Record, RecordArray, record_type
+from firmware_model.law.layout import State, Table, precision_of
+from firmware_model.law.structs import FloatArray, RecordArray, record_type
 
 
 class Answer(NamedTuple):
@@ -39,13 +40,13 @@ ChangeSpeed = Callable[[float], None]
 class Law(Protocol):
     """The runnable control law."""
 
-    def init(self, table: Record) -> RecordArray:
+    def init(self, table: Table) -> RecordArray:
         """One state at rest, shape (1,); see ``controller.init``."""
 
     def step_of(self, tables: RecordArray, states: RecordArray) -> Step:
         """Run ``controller.step`` on the first table and the first state of the arrays."""
 
-    def reset(self, table: Record, state: Record, reference: float) -> None:
+    def reset(self, table: Table, state: State, reference: float) -> None:
         """See ``controller.reset``."""
 
     def change_speed_of(self, memories: Memories) -> ChangeSpeed:
@@ -55,7 +56,7 @@ class Law(Protocol):
 class PythonLaw:
     """The lines of ``controller`` themselves, interpreted or compiled by numba."""
 
-    def init(self, table: Record) -> RecordArray:
+    def init(self, table: Table) -> RecordArray:
         """See ``Law``."""
         return controller.init(table)
 
@@ -63,7 +64,7 @@ class PythonLaw:
         """See ``Law``."""
         return partial(controller.step_first, tables, states)
 
-    def reset(self, table: Record, state: Record, reference: float) -> None:
+    def reset(self, table: Table, state: State, reference: float) -> None:
         """See ``Law``."""
         controller.reset(table, state, reference)
 
@@ -85,16 +86,18 @@ class Firmware:
             constant speed: then ``change_speed`` has no effect.
     """
 
-    def __init__(self, table: Record, law: Law = PYTHON_LAW, speeds: Record | None = None) -> None:
+    def __init__(
+        self, table: Table, law: Law = PYTHON_LAW, speeds: schedule.Constants | None = None
+    ) -> None:
         self._law = law
         self._tables = np.zeros(1, table.dtype)
         self._tables[0] = table
         self._states = law.init(self._tables[0])
         self._step = law.step_of(self._tables, self._states)
-        self._motions = np.zeros(1, record_type(biquad.STATE, precision_of(table)))
+        self._motions = np.zeros(1, record_type(biquad.State, precision_of(table)))
         self._change_speed: ChangeSpeed | None = None
         if speeds is not None:
-            blending = np.zeros(1, record_type(schedule.STATE, precision_of(table)))
+            blending = np.zeros(1, record_type(schedule.State, precision_of(table)))
             constants = np.array([speeds], speeds.dtype)
             self._memories = (constants, blending, self._tables, self._states)  # C has addresses
             self._change_speed = law.change_speed_of(self._memories)
@@ -136,10 +139,28 @@ class Firmware:
         """
         act_first(self._tables, self._states, self._motions, command_1, command_2)
 
+    def drive_with(self, input_1: float, input_2: float) -> None:
+        """Set the plant's inputs from the next ``step`` on, as measured in a recorded drive.
+
+        F1 and the decision work on these inputs instead of the controller's commands. Unlike after
+        ``act``, the law makes up for nothing. The latency must be at least one tick.
+        """
+        state = self._states[0]
+        memories = (
+            state.shortfall_1.accumulators,
+            state.shortfall_2.accumulators,
+            state.tracking.delay,
+        )
+        before = [memory.copy() for memory in memories]
+        self.act(input_1, input_2)
+        for memory, kept in zip(memories, before, strict=True):
+            memory[...] = kept
+
     @property
-    def hypotheses(self) -> Record:
+    def hypotheses(self) -> verdict.State:
         """What ``hypotheses`` makes of d̂, now and after any further ``step``; read only."""
-        return self._states[0]["hypotheses"]
+        hypotheses: verdict.State = self._states[0]["hypotheses"]
+        return hypotheses
 
     @property
     def commands(self) -> tuple[float, float]:

@@ -15,8 +15,9 @@ The package imports every room below; only commands may import it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from can_rig.assessment import resolve
 from can_rig.assessment.speeds import DriveCheck
@@ -27,6 +28,10 @@ from can_rig.assessment.tuning.search import Tunings
 from can_rig.assessment.tuning.search import tune as search
 from can_rig.decoding.decode import decode_log
 from can_rig.errors import RigError, ScenarioError, in_python
+from can_rig.logs.log import window_of
+from can_rig.logs.reading import read_log
+from can_rig.replaying.estimator import Replayed, replay_drive, write
+from can_rig.results.source import Source, log_path
 from can_rig.scenario.loading import Changes, as_settings
 from can_rig.scenario.settings import Scenario
 from can_rig.views.controllers_compared import CASES, Comparison
@@ -39,12 +44,14 @@ if TYPE_CHECKING:
 __all__ = [
     "Comparison",
     "RecordedRun",
+    "ReplayedDrive",
     "Scenario",
     "check",
     "compare",
     "decode",
     "load",
     "load_scenario",
+    "replay",
     "run",
     "tune",
 ]
@@ -226,6 +233,94 @@ def decode(
         units = {signal: layout.unit for signal, layout in columns.layout.items()}
         table.attrs["units"] = {signal: unit or "" for signal, unit in units.items()}
     return tables
+
+
+class ReplayedDrive:
+    """A recorded drive after the estimator.
+
+    Attributes:
+        scenario: of the controller, as it was replayed.
+        summary: ticks, inputs, d̂ and events, as ``can-rig replay --json`` prints them.
+    """
+
+    def __init__(self, replayed: Replayed) -> None:
+        self._replayed = replayed
+        self.scenario = replayed.scenario
+        self.summary: dict[str, Any] = replayed.summary()
+
+    @cached_property
+    def signals(self) -> pd.DataFrame:
+        """A row a tick; the index ``time_s`` counts from the start of the recording.
+
+        ``attrs["units"]`` has the unit of each column; mode, fault state and verdict are numbers.
+        """
+        import pandas as pd  # noqa: PLC0415 (slow to import)
+
+        columns = self._replayed.columns
+        index = pd.Index(self._replayed.time_s, name="time_s")
+        frame = pd.DataFrame(columns.signals, index=index, copy=False)
+        frame.attrs["units"] = {name: layout.unit for name, layout in columns.layout.items()}
+        return frame
+
+    @in_python
+    def save(self, path: str | Path, *, force: bool = False) -> Path:
+        """Write a table by ``.csv``, ``.parquet`` or ``.mf4``, or a picture; returns the path.
+
+        Args:
+            path: where.
+            force: replace an existing file.
+
+        Raises:
+            LogError: an unknown suffix, or the file exists or cannot be written.
+        """
+        write(self._replayed, _path("path", path), force=force)
+        return Path(path)
+
+    def __repr__(self) -> str:
+        """Scenario and ticks."""
+        ticks, held = self.summary["ticks"], self.summary["ticks_hold"]
+        return f"<recorded drive through {self.scenario.name}: {ticks} ticks, {held} of them HOLD>"
+
+
+@in_python
+def replay(
+    log: str | Path,
+    name: str | Path | Scenario,
+    changes: Changes | None = None,
+    *,
+    dbc: str | Path | Mapping[str, str | Path] | None = None,
+    max_age_s: float | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
+) -> ReplayedDrive:
+    """A car's own log through the estimator.
+
+    Args:
+        log: of any format that ``can-rig decode`` reads.
+        name: a scenario whose ``network.signals`` name the signals of the log; see
+            ``load_scenario``.
+        changes: see ``load_scenario``.
+        dbc: in place of ``network.dbc``; or a database for each bus, as the log names the buses.
+        max_age_s: how long a sample holds; None: five periods of its signal.
+        from_s: skip frames before this time, s after the start of the recording.
+        to_s: skip frames from this time on, s after the start of the recording.
+
+    Raises:
+        LogError: the log cannot be read, or lacks an input.
+        DbcError: a database cannot be read, or lacks a signal.
+        ScenarioError: no signals of a car, an unknown unit, or a failing design.
+    """
+    scenario = load_scenario(name, changes)
+    if not scenario.network.signals.are_of_a_drive:
+        raise ScenarioError(
+            f"scenario {scenario.name}: network.signals: must name a car's signals in the log, "
+            "as yaw_rate and torque"
+        )
+    named = dbc if isinstance(dbc, Mapping) else {} if dbc is None else {"": dbc}
+    files = {str(bus): _path("dbc", file) for bus, file in named.items()}
+    path = _path("log", log)
+    source = Source(read_log(log_path(path), window=window_of(from_s, to_s)), scenario)
+    return ReplayedDrive(replay_drive(source, files, max_age_s))
 
 
 def _path(argument: str, value: object) -> Path:

@@ -338,7 +338,9 @@ def network_timing(
         compute_s: most time from the arrival of D* until the controller queues its answer [s].
     """
     tick, compute = exact(tick_s), exact(compute_s)
-    plant = [_of_tick(codec, tick) for codec in network.on_the_bus[: network.offered]]
+    periods = zip(network.witnesses, network.periods, strict=True)
+    plant = [_of_tick(codec, tick) for codec in network.inputs]
+    plant += [_of_tick(codec, tick * period) for codec, period in periods]
     commands = [_of_tick(codec, tick) for codec in (network.command_1, network.command_2)]
     answers = [*commands, _of_tick(network.status, tick)]
     frames = _apart(plant, answers, bitrate, compute)

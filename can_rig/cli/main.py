@@ -33,7 +33,7 @@ COMMANDS: Final = {
     "replay": ("replay", "Feed LOG to today's controller, and compare the answers."),
     "plot": ("plot", "Draw SIGNALs of LOG."),
     "diff": ("diff", "Compare two runs, signal by signal."),
-    "compare": ("compare", "Drive several controllers through the same cases."),
+    "compare": ("compare", "Compare several controllers in the same cases."),
 }
 """Name → module, where ``command`` or the name behind the colon is the command, and the line of
 ``--help``."""

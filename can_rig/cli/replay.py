@@ -18,6 +18,7 @@ from rich.table import Table
 from can_rig.buses.bus import open_bus
 from can_rig.cli.diff import print_difference
 from can_rig.cli.options import (
+    above_zero,
     bus_name,
     channel_option,
     force_option,
@@ -35,8 +36,10 @@ from can_rig.logs.frames import NS_PER_S, Frames
 from can_rig.logs.log import ALL, Window, window_of
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
+from can_rig.replaying.estimator import refuse_output, replay_drive, write
 from can_rig.replaying.gaps import Gap, seconds, write_gaps
 from can_rig.replaying.pace import Paced, Pacer
+from can_rig.replaying.recorded_drive import buses_of
 from can_rig.replaying.replay import OpenLoop, Place, SignalComparison
 from can_rig.replaying.rig_frames import recorded
 from can_rig.results.source import Source, log_path, only_channel, source_of
@@ -81,8 +84,27 @@ from can_rig.scenario.build import network_of
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="With --what-if: the run folder.  [default: runs/SCENARIO-TIME]",
+    "outs",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="PATH",
+    help="Of a recorded drive: the answers as FILE.csv, .parquet or .mf4, or a picture as .png, "
+    ".svg or .pdf; repeatable.  With --what-if: the run folder.  [default: runs/SCENARIO-TIME]",
+)
+@click.option(
+    "--dbc",
+    multiple=True,
+    metavar="[BUS=]FILE",
+    help="Of a recorded drive: in place of network.dbc; of one bus alone with its name before it, "
+    "as in can0=car.dbc.  Repeatable.",
+)
+@click.option(
+    "--max-age",
+    "max_age_s",
+    type=float,
+    callback=above_zero,
+    metavar="S",
+    help="Of a recorded drive: how long a sample holds.  [default: five periods of its signal]",
 )
 @click.option(
     "--allow-unstable",
@@ -102,7 +124,9 @@ def command(
     bus: str | None,
     speed: str | None,
     what_if: bool,
-    out: Path | None,
+    outs: tuple[Path, ...],
+    dbc: tuple[str, ...],
+    max_age_s: float | None,
     allow_unstable: bool,
     as_json: bool,
     force: bool,
@@ -111,6 +135,8 @@ def command(
 
     Open loop (the default): the logged reference and feedback go through the controller's receive
     rules and firmware, frame by frame; the answers are compared with the log, as on the wire.
+    Where network.signals of the scenario name a car's own signals (yaw_rate, torque, ...), the
+    recorded drive goes through the estimator: --out writes d̂, mode, verdict, commands and inputs.
     --bus puts the log on a bus instead, --what-if runs the closed loop of a changed scenario.
     Frames before --from go through the controller without comparison.
 
@@ -123,14 +149,25 @@ def command(
     if speed is not None:
         raise click.UsageError("--speed is the pace of a replay onto a --bus; name one")
     if what_if:
-        _refuse_together("--what-if", gaps=gaps)
+        _refuse_together("--what-if", gaps=gaps, dbc=dbc, max_age=max_age_s)
+        if len(outs) > 1:
+            raise click.UsageError("--out of a --what-if is one run folder")
+        out = next(iter(outs), None)
         sys.exit(
             _what_if(
                 log, scenario_name, settings, channel, window, out, force, allow_unstable, as_json
             )
         )
-    if out is not None:
-        raise click.UsageError("--out is the run folder of a --what-if")
+    source = source_of(log, scenario_name, settings, channel, window)
+    if source.scenario.network.signals.are_of_a_drive:
+        _refuse_together("a recorded drive", gaps=gaps)
+        _recorded_drive(source, dbc, outs, max_age_s, force, as_json)
+        return
+    if outs or dbc or max_age_s:
+        raise click.UsageError(
+            "--out, --dbc and --max-age are of a recorded drive: network.signals of the scenario "
+            "must name a car's signals, as yaw_rate; --out is the run folder of a --what-if too"
+        )
     before = window._replace(begin_ns=ALL.begin_ns)  # also replayed, but not compared
     source = source_of(log, scenario_name, settings, channel, before)
     sys.exit(_open_loop(source, window.begin_ns, gaps, force, as_json))
@@ -170,7 +207,8 @@ def _open_loop(source: Source, begin_ns: int, gaps: Path | None, force: bool, as
     if not any(signal.compared for signal in loop.comparison.signals):
         raise LogError(
             f"{source.log.path}: no frame of a controller in it that could be compared "
-            f"({loop.comparison.ticks} ticks were replayed); must be a log of both nodes"
+            f"({loop.comparison.ticks} ticks were replayed); must be a log of both nodes, or "
+            "network.signals must name a car's own signals, as yaw_rate and torque"
         )
     if as_json:
         json_line(**_summary(source, loop, listed))
@@ -198,6 +236,85 @@ def _all_gaps(path: Path | None, force: bool) -> Iterator[Callable[[list[Gap]], 
         part.open("w", encoding="utf-8", newline="") as file,
     ):
         yield lambda gaps: write_gaps(file, gaps)
+
+
+def _recorded_drive(
+    source: Source,
+    dbc: Sequence[str],
+    outs: Sequence[Path],
+    max_age_s: float | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Run a recorded drive through the firmware, and write and print what came of the drive.
+
+    Raises:
+        LogError, DbcError, ScenarioError: see ``replay_drive`` and ``write``.
+    """
+    for path in outs:
+        refuse_output(path, force)
+    replayed = replay_drive(
+        source,
+        buses_of(dbc),
+        max_age_s,
+        lambda log: reading(log, "reading"),
+        lambda ticks: counting(source.scenario.name, "ticks", ticks),
+    )
+    for path in outs:
+        write(replayed, path, force=force)
+    summary = replayed.summary()
+    if as_json:
+        json_line(
+            log=str(source.log.path),
+            **summary,
+            out=[str(path) for path in outs],
+            notice=source.log.notice,
+        )
+        return
+    console = wide()
+    console.width = max(console.width, 170)  # names of signals are long
+    headings = ("role", "signal", "bus", "unit", "samples", "period", "gaps", "least", "largest")
+    rows = _no_wrap(table(*headings, left=4))
+    for each in summary["signals"]:
+        ends = (
+            "" if each[key] is None else f"{each[key]:.4g} {each['unit_of_role']}"
+            for key in ("least", "largest")
+        )
+        period, counts = f"{1e3 * each['period_s']:.4g} ms", (each["samples"], each["gaps"])
+        rows.add_row(
+            *(each[key] for key in ("role", "signal", "bus", "unit")),
+            str(counts[0]), period, str(counts[1]), *ends,
+        )  # fmt: skip
+    console.print(rows)
+    for line in _of_drive(summary):
+        console.print(line, markup=False)
+    for path in outs:
+        console.print(f"written  {path}", markup=False)
+    note(source.log.notice, *replayed.notes())
+
+
+def _of_drive(summary: dict[str, Any]) -> Iterator[str]:
+    yield ""
+    yield from summary["rules"]
+    speeds = summary["design_speeds_mps"]
+    several = f"{len(speeds)} designs from {speeds[0]:.3g} to {speeds[-1]:.3g} m/s"
+    yield (
+        f"{summary['ticks']} ticks of {1e3 * summary['tick_s']:g} ms from {summary['from_s']:.3f} "
+        f"to {summary['to_s']:.3f} s: {summary['ticks_run']} RUN, {summary['ticks_hold']} HOLD; "
+        + (several if len(speeds) > 1 else f"designed for {speeds[0]:.3g} m/s")
+    )
+    if summary["ticks_run"]:
+        yield (
+            f"d̂ {summary['fault_estimate_rms_mps2']:.3g} m/s² rms, at most "
+            f"{summary['fault_estimate_peak_mps2']:.3g} m/s²; D* "
+            f"{summary['dstar_rms_mps2']:.3g} m/s² rms"
+        )
+    events = summary["events"]
+    for event in events[:_SHOWN]:
+        verdict = event["verdict"].replace("_", " ").lower()
+        yield f"{event['time_s']:10.3f} s  {event['fault_state'].replace('_', ' '):<12} {verdict}"
+    if len(events) > _SHOWN:
+        yield f"…, {len(events)} changes in all: --out FILE.csv has every tick"
 
 
 _SHOWN: Final = 12

@@ -40,7 +40,8 @@ from scipy.linalg import solve_discrete_lyapunov
 from can_rig.controllers.protocol import LISTEN_S, Inputs
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.filters.biquad import advance, at_rest
-from firmware_model.law.structs import FloatArray, Record
+from firmware_model.law.layout import Table
+from firmware_model.law.structs import FloatArray
 
 RETURN_S: Final = 0.4  # X_diff then keeps below 4000 N for 1 m/s², should the motor be dead
 FEWEST_SAMPLES: Final = 10  # of the free response, however long a tick is
@@ -73,7 +74,7 @@ class BumplessRestart:
         self,
         restarted: Restarted,
         scenario: Scenario,
-        table: Record | None = None,
+        table: Table | None = None,
         lsb: float = 0.0,
     ) -> None:
         self._restarted = restarted
@@ -156,7 +157,7 @@ class FreeMotion:
         ticks: the length of the fit and of the prediction.
     """
 
-    def __init__(self, table: Record, ticks: int) -> None:
+    def __init__(self, table: Table, ticks: int) -> None:
         cascade = table.estimator.channel_1
         self._index = [
             (i, j)

@@ -13,8 +13,8 @@ from can_rig.errors import ExportError
 from can_rig.export.compiler import loaded, shared_library
 from can_rig.export.law import CHANGE_SPEED, ENTRIES, law_files
 from firmware_model.firmware import ChangeSpeed, Memories, Step
-from firmware_model.law.layout import precision_of, state_type
-from firmware_model.law.structs import Precision, Record, RecordArray
+from firmware_model.law.layout import State, Table, precision_of, state_type
+from firmware_model.law.structs import Precision, RecordArray, Struct
 
 
 class CompiledLaw:
@@ -52,7 +52,7 @@ class CompiledLaw:
         if changes_speed:
             self._change_speed = function(f"schedule_{CHANGE_SPEED}", 4, 1)
 
-    def init(self, table: Record) -> RecordArray:
+    def init(self, table: Table) -> RecordArray:
         """A state at rest, shape (1,)."""
         if precision_of(table) != self._precision:
             raise ExportError(
@@ -86,7 +86,7 @@ class CompiledLaw:
 
         return stepped
 
-    def reset(self, table: Record, state: Record, reference: float) -> None:
+    def reset(self, table: Table, state: State, reference: float) -> None:
         """As ``controller.reset``."""
         self._reset(_address(table), _address(state), reference)
 
@@ -95,6 +95,6 @@ class CompiledLaw:
         return partial(self._change_speed, *map(_address, memories))
 
 
-def _address(memory: Record) -> int:
+def _address(memory: Struct) -> int:
     """Where a record lies, or the first of an array of them."""
     return int(memory.__array_interface__["data"][0])

@@ -79,6 +79,13 @@ class FolderOfTables:
         (self._folder / INDEX).write_text(text + "\n", encoding="utf-8")
 
 
+def write_table(path: Path, columns: MessageColumns, start_ns: int) -> None:
+    """Write one message into one ``.csv`` or ``.parquet``; ``start_ns``: see `Contents`."""
+    table = _Table(path, columns.name, _signal_types(columns, False), start_ns)
+    table.add(columns.time_ns, [_signal_cells(columns, name, False) for name in columns.signals])
+    table.close()
+
+
 class _Table:
     """The file of one message, with the time and ``fields`` (signal → type) as columns."""
 

@@ -6,7 +6,6 @@ Numbers that the source names become macros of C.
 from __future__ import annotations
 
 import ast
-import re
 from collections.abc import Iterator
 from typing import Any, Final
 
@@ -24,12 +23,11 @@ from can_rig.export.c_text import (
     wrapped,
 )
 from can_rig.export.effects import Effects
-from can_rig.export.source import Answers, CStruct, Module, Record, Sources
+from can_rig.export.source import Answers, CStruct, Module, Record, Sources, snake
 from can_rig.export.subset import Program, Typed
-from firmware_model.law import structs
-from firmware_model.law.layout import TABLE, precision_of
-from firmware_model.law.schedule import CONSTANTS
-from firmware_model.law.structs import Field, Precision, Struct
+from firmware_model.law.layout import Table, precision_of
+from firmware_model.law.schedule import Constants
+from firmware_model.law.structs import Field, Precision, Struct, fields_of
 
 _ELSEWHERE: Final = "is a number or a function of the exported C too: must be another name"
 _TITLES: Final = {"CONSTANTS": "Constants", "STATE": "State", "TABLE": "The constant table"}
@@ -143,12 +141,7 @@ def _origin(sources: Sources, user: Module, found: str) -> Module:
 
 def _enumerator(enum: str, member: str) -> str:
     """FaultState.CLEAR as FAULT_STATE_CLEAR."""
-    return f"{_snake(enum).upper()}_{member}"
-
-
-def _snake(words: str) -> str:
-    """FaultState as fault_state."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", words).lower()
+    return f"{snake(enum).upper()}_{member}"
 
 
 def _enumerations(module: Module) -> list[str]:
@@ -158,7 +151,7 @@ def _enumerations(module: Module) -> list[str]:
         if not isinstance(node, ast.ClassDef) or node.name not in module.enums:
             continue
         lines += ["", *comment(ast.get_docstring(node) or node.name)]
-        lines.append(f"enum {module.name}_{_snake(node.name)} {{")
+        lines.append(f"enum {module.name}_{snake(node.name)} {{")
         for each, after in zip(node.body, [*node.body[1:], None], strict=True):
             match each:
                 case ast.Assign(
@@ -274,7 +267,7 @@ class _CFiles:
         return [*lines, "};"]
 
     def _member(self, field: Field) -> str:
-        if isinstance(field.kind, tuple):
+        if isinstance(field.kind, type):
             struct = self._program.sources.struct(field.kind)
             assert struct is not None
             return f"struct {struct.tag} {name(field.name)}"
@@ -324,9 +317,7 @@ def _text(lines: list[str]) -> str:
     return "\n".join(kept) + "\n"
 
 
-def constants_files(
-    table: structs.Record, title: str, speeds: structs.Record | None = None
-) -> dict[str, str]:
+def constants_files(table: Table, title: str, speeds: Constants | None = None) -> dict[str, str]:
     """``constants.h`` and ``constants.c``: the table, with exact numbers.
 
     Args:
@@ -334,11 +325,11 @@ def constants_files(
         title: the description of the table.
         speeds: of ``schedules.schedule``, where the speed of the car changes.
     """
-    memories: list[tuple[str, Struct, structs.Record]] = [
-        ("layout_table controller_table", TABLE, table)
+    memories: list[tuple[str, type[Struct], Struct]] = [
+        ("layout_table controller_table", Table, table)
     ]
     if speeds is not None:
-        memories.append(("schedule_constants controller_schedule", CONSTANTS, speeds))
+        memories.append(("schedule_constants controller_schedule", Constants, speeds))
     header = [
         *comment(title), "#ifndef CONSTANTS_H", "#define CONSTANTS_H", "", '#include "layout.h"',
         *([] if speeds is None else ['#include "schedule.h"']), "",
@@ -351,21 +342,21 @@ def constants_files(
     return {"constants.h": _text(header), "constants.c": _text(source)}
 
 
-def _members(struct: Struct, record: Any, precision: Precision, indent: str) -> Iterator[str]:
+def _members(struct: type[Struct], record: Any, precision: Precision, indent: str) -> Iterator[str]:
     """Every member except zeros; C initialises missing members with zero."""
-    zeros = 0
-    for field in struct:
+    zeros, fields = 0, fields_of(struct)
+    for field in fields:
         value = record[field.name]
-        if isinstance(field.kind, tuple):
+        if isinstance(field.kind, type):
             inside = list(_members(field.kind, value, precision, indent + INDENT))
             yield from (f"{indent}.{name(field.name)} = {{", *inside, f"{indent}}},")
         elif _is_zero(np.asarray(value)):
             zeros += 1
         else:
             yield from _initialised(field, np.asarray(value), precision, indent)
-    if zeros == len(struct):  # an initialiser must not be empty
-        nested = len(struct[0].shape)
-        yield f"{indent}.{name(struct[0].name)} = {'{' * nested}0{'}' * nested},"
+    if zeros == len(fields):  # an initialiser must not be empty
+        nested = len(fields[0].shape)
+        yield f"{indent}.{name(fields[0].name)} = {'{' * nested}0{'}' * nested},"
 
 
 def _initialised(field: Field, value: Any, precision: Precision, indent: str) -> Iterator[str]:

@@ -95,7 +95,7 @@ def law_program() -> Program:
     """
     program = Program(_target_sources())
     functions = program.sources.module(controller.__name__).functions
-    memory: list[Type] = [*_records(program.sources, layout.TABLE, layout.STATE)]
+    memory: list[Type] = [*_records(program.sources, layout.Table, layout.State)]
     for name in ENTRIES:
         inputs = len(functions[name].parameters) - len(memory)
         program.add(functions[name], [*memory, *(REAL,) * inputs])
@@ -111,7 +111,7 @@ def speed_program() -> Program:
         ExportError: something is outside the subset.
     """
     program = Program(_target_sources())
-    structs = (schedule.CONSTANTS, schedule.STATE, layout.TABLE, layout.STATE)
+    structs = (schedule.Constants, schedule.State, layout.Table, layout.State)
     function = program.sources.module(schedule.__name__).functions[CHANGE_SPEED]
     program.add(function, [*_records(program.sources, *structs), REAL])
     return program
@@ -130,10 +130,10 @@ def law_files(precision: Precision, blends: bool = False) -> dict[str, str]:
     """
     if blends:
         program, entries = speed_program(), {f"schedule_{CHANGE_SPEED}"}
-        memory = _records(program.sources, schedule.CONSTANTS, schedule.STATE)
+        memory = _records(program.sources, schedule.Constants, schedule.State)
         found = c_files(program, [each.struct for each in memory], entries, precision)
         return law_files(precision) | {name: found[name] for name in ("schedule.h", "schedule.c")}
     program, entries = law_program(), {f"controller_{name}" for name in ENTRIES}
-    memory = _records(program.sources, layout.TABLE, layout.STATE)
+    memory = _records(program.sources, layout.Table, layout.State)
     found = c_files(program, [each.struct for each in memory], entries, precision)
     return {**found, "real.h": real_header(precision)}

@@ -37,7 +37,7 @@ LAST_TICKS = 65530  # the 16 bits of the tick end soon
 def random_frames(network: Network, seed: int) -> list[list[can.Message]]:
     """By tick, what the plant node might have sent, the same for the same ``seed``."""
     choose, ticks = random.Random(seed), []
-    transmitters = [Transmitter(codec) for codec in network.on_the_bus[: network.offered]]
+    transmitters = [Transmitter(codec) for codec in network.inputs]
     first = choose.choice([0, LAST_TICKS])
     for tick in range(first, first + TICKS):
         frames: list[can.Message] = []

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import io
+import re
 import sys
 import tokenize
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from types import FunctionType, ModuleType
 from typing import Any, Final
 
 from can_rig.errors import ExportError
-from firmware_model.law.structs import Field, Struct
+from firmware_model.law.structs import Field, Struct, fields_of
 
 
 @dataclass(frozen=True)
@@ -43,14 +44,19 @@ class CStruct:
     Attributes:
         module: the declaring module.
         tag: its name in C.
-        fields: its members.
+        declared: its declaration.
         line: line of the declaration.
     """
 
     module: str
     tag: str
-    fields: Struct
+    declared: type[Struct]
     line: int
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """Its members."""
+        return fields_of(self.declared)
 
 
 @dataclass(frozen=True)
@@ -149,14 +155,14 @@ class Module:
         return found
 
     @cached_property
-    def structs(self) -> dict[int, CStruct]:
-        """The module's structs, by the identity of their fields."""
+    def structs(self) -> dict[type[Struct], CStruct]:
+        """The module's structs, by their declaration."""
         found = {}
-        for name, value in self.assignments.items():
-            fields = getattr(self.namespace, name)
-            if isinstance(fields, tuple) and fields and isinstance(fields[0], Field):
-                tag = f"{self.name}_{name.lower()}"
-                found[id(fields)] = CStruct(self.name, tag, fields, value.lineno)
+        for node in self.tree.body:
+            declared = self.lookup(node.name) if isinstance(node, ast.ClassDef) else None
+            if isinstance(declared, type) and issubclass(declared, Struct):
+                tag = f"{self.name}_{snake(declared.__name__)}"
+                found[declared] = CStruct(self.name, tag, declared, node.lineno)
         return found
 
     @cached_property
@@ -206,10 +212,17 @@ class Sources:
             return None
         return self.module(plain.__module__).functions.get(plain.__name__)
 
-    def struct(self, fields: object) -> CStruct | None:
-        """The struct with these fields, among the modules read so far."""
-        found = (module.structs.get(id(fields)) for module in self.modules.values())
+    def struct(self, declared: object) -> CStruct | None:
+        """The struct of this declaration, among the modules read so far; None for a number."""
+        if not isinstance(declared, type):
+            return None
+        found = (module.structs.get(declared) for module in self.modules.values())
         return next((struct for struct in found if struct), None)
+
+
+def snake(words: str) -> str:
+    """FaultState as fault_state."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", words).lower()
 
 
 def paired(node: ast.Assign) -> list[tuple[ast.expr, ast.expr]]:

@@ -380,7 +380,7 @@ class Typed:
         field = next((each for each in fields if each.name == node.attr), None)
         if field is None:
             raise self._refuse(node, f"{{}}: {in_words(owner)} has no such field")
-        if not isinstance(field.kind, tuple):
+        if not isinstance(field.kind, type):
             scalar = REAL if field.kind == "real" else INT
             return Array(scalar, field.shape) if field.shape else scalar
         struct = self._program.sources.struct(field.kind)

@@ -14,14 +14,14 @@ import numpy as np
 
 from firmware_model.firmware import PYTHON_LAW, Law
 from firmware_model.law.layout import precision_of, state_type, table_type
-from firmware_model.law.schedule import CONSTANTS, MAX_SPEEDS, STATE
+from firmware_model.law.schedule import MAX_SPEEDS, Constants
+from firmware_model.law.schedule import State as BlendState
 from firmware_model.law.status import Verdict
 from firmware_model.law.structs import (
     MAX_LATENCY_TICKS,
     MAX_SECTIONS,
     FloatArray,
     Precision,
-    Record,
     RecordArray,
     record_type,
 )
@@ -61,7 +61,7 @@ def random_table(
 ) -> RecordArray:
     """A table, shape (1,), with valid counts and indices, and some plausible numbers."""
     tables = np.zeros(1, table_type(precision))
-    table: Record = tables[0]
+    table: Any = tables[0]  # random numbers, of NumPy's types
     fill(random, tables[0], precision, even)
     if random.random() < 0.8:  # plausible limits
         for actuator in (table.actuator_1, table.actuator_2):
@@ -109,11 +109,11 @@ def random_table(
 
 
 def random_state(
-    random: np.random.Generator, table: Record, precision: Precision, even: bool = False
+    random: np.random.Generator, table: Any, precision: Precision, even: bool = False
 ) -> RecordArray:
     """A state for ``table``, shape (1,), with indices that exist."""
     states = np.zeros(1, state_type(precision))
-    state: Record = states[0]
+    state: Any = states[0]
     fill(random, states[0], precision, even)
     constants, estimator = table.estimator, state.estimator
     for index, size in (
@@ -161,8 +161,8 @@ def random_drive(
     random: np.random.Generator, precision: Precision, ticks: int, even: bool = False
 ) -> Drive:
     """For a random table; ``even``: many numbers are equal."""
-    schedules = np.zeros(1, record_type(CONSTANTS, precision))
-    schedule: Record = schedules[0]
+    schedules = np.zeros(1, record_type(Constants, precision))
+    schedule: Constants = schedules[0]
     fill(random, schedules[0], precision, even)
     n = schedule.n = random.choice([1, 2, MAX_SPEEDS, *random.integers(1, MAX_SPEEDS + 1, 3)])
     schedule.speed[:] = np.sort(random.uniform(SLOWEST, FASTEST, MAX_SPEEDS))
@@ -170,7 +170,7 @@ def random_drive(
         for name in schedules.dtype.names or ():
             if "turn" in name:
                 schedules[name] = np.clip(np.nan_to_num(schedules[name]), -2.0, 2.0)
-    blendings = np.zeros(1, record_type(STATE, precision))
+    blendings = np.zeros(1, record_type(BlendState, precision))
     fill(random, blendings[0], precision, even)
     blendings["place"] = random.choice([0.0, random.uniform(0.0, n - 1.0), n - 1.0])
     limits = np.finfo(precision)

@@ -14,6 +14,9 @@ frames with 11-bit identifiers:
 | 1     | low nibble `AliveCounter`; high nibble `Mode` and `FaultState` in the status frame   |
 | 2, 3  | `Tick`, unsigned: the low 16 bits of an hours-long count                             |
 | 4..7  | the value, signed, scaled; in the status frame 28 bits, above 4 bits of `Verdict`    |
+
+The frame of a further sensor has `Valid` in byte 1, and 20 bits of value above 12 of `SampleTick`.
+To the codec, `Valid` is a mode, and `SampleTick` a verdict: the bits that go along with a value.
 """
 
 from __future__ import annotations
@@ -75,6 +78,12 @@ SPEED: Final = "speed"
 
 VERDICT_BITS: Final = 4
 
+SAMPLE_BITS: Final = 12
+"""Bits of the sample's tick, below the value in the frame of a further sensor."""
+
+VALID_SHIFT: Final = 4
+"""Place of the validity within byte 1 of such a frame."""
+
 NO_DECISION: Final = 14
 """The code of ``Verdict`` of a controller that says neither a verdict nor a fault state."""
 
@@ -108,15 +117,22 @@ class RigLayout:
 
     Args:
         shifts: of mode and fault state in byte 1; None for a frame without them.
-        says_verdict: whether the low four bits of the value carry the verdict.
+        low_bits: the low bits of the value that carry the verdict or the sample's tick.
+        masks: the largest mode and fault state.
     """
 
     length: Final = FRAME_BYTES
     has_tick: Final = True
 
-    def __init__(self, shifts: tuple[int, int] | None = None, says_verdict: bool = False) -> None:
+    def __init__(
+        self,
+        shifts: tuple[int, int] | None = None,
+        low_bits: int = 0,
+        masks: tuple[int, int] = (3, 3),
+    ) -> None:
         self.shifts: Final = shifts or (0, 0)
-        self.verdict_bits: Final = VERDICT_BITS if says_verdict else 0
+        self.masks: Final = masks
+        self.verdict_bits: Final = low_bits
         self._most = (1 << self.verdict_bits) - 1
         self.has_status: Final = shifts is not None
 
@@ -124,8 +140,8 @@ class RigLayout:
         """See ``Layout``."""
         bits, value = 0, int(k) << self.verdict_bits | min(max(verdict, 0), self._most)
         if self.has_status:
-            bits = min(max(mode, 0), 3) << self.shifts[0]
-            bits |= min(max(fault_state, 0), 3) << self.shifts[1]
+            bits = min(max(mode, 0), self.masks[0]) << self.shifts[0]
+            bits |= min(max(fault_state, 0), self.masks[1]) << self.shifts[1]
         return bytearray(FRAME.pack(0, bits, tick & 0xFFFF, value))
 
     def unpack(self, data: bytes | bytearray) -> Unpacked:
@@ -133,7 +149,9 @@ class RigLayout:
         _, bits, tick, raw = FRAME.unpack(data)
         if not self.has_status:
             return raw, tick, 0, 0, 0
-        mode, fault_state = bits >> self.shifts[0] & 3, bits >> self.shifts[1] & 3
+        mode, fault_state = (
+            bits >> shift & mask for shift, mask in zip(self.shifts, self.masks, strict=True)
+        )
         return raw >> self.verdict_bits, tick, mode, fault_state, raw & self._most
 
     def tick(self, data: bytes | bytearray) -> int | None:

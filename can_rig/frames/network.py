@@ -19,7 +19,9 @@ from can_rig.frames.codec import (
     NO_DECISION,
     NO_VERDICT,
     ROLES,
+    SAMPLE_BITS,
     SPEED,
+    VALID_SHIFT,
     VERDICT_BITS,
     MessageCodec,
     RigLayout,
@@ -36,12 +38,15 @@ _STATUS_STARTS: Final = (12, 14)  # two bits each, in either order
 _VERDICT: Final = (32, VERDICT_BITS)
 _VALUE: Final = (32, 32)
 _VALUE_OVER_VERDICT: Final = (36, 28)
+_VALID: Final = (8 + VALID_SHIFT, 1)
+_SAMPLE_TICK: Final = (32, SAMPLE_BITS)
+_VALUE_OVER_SAMPLE_TICK: Final = (32 + SAMPLE_BITS, 32 - SAMPLE_BITS)
 _GRID_TOLERANCE: Final = 1e-3  # of an LSB; float64 resolves 5e-7 LSB at the end of 32 bits
 
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """The frames of a tick: five frames, preceded by an optional speed frame."""
+    """The frames of a tick: five, preceded by those of the speed and of further sensors."""
 
     reference: MessageCodec
     feedback: MessageCodec
@@ -51,6 +56,10 @@ class Network:
     collisions: tuple[str, ...] = ()
     """Other messages of the database with the identifier of a rig frame."""
     speed: MessageCodec | None = None
+    witnesses: tuple[MessageCodec, ...] = ()
+    """Frames of the further sensors, in the order of the scenario's ``sensors``."""
+    periods: tuple[int, ...] = ()
+    """Their periods, ticks."""
 
     def __iter__(self) -> Iterator[MessageCodec]:
         """The five frames of every tick in the order of `ROLES`."""
@@ -58,18 +67,23 @@ class Network:
 
     @property
     def by_role(self) -> tuple[MessageCodec, ...]:
-        """All frames, beginning with the five of `ROLES`."""
+        """The frames of every tick: the five of `ROLES`, the speed."""
         return (*self, self.speed) if self.speed else tuple(self)
 
     @property
     def on_the_bus(self) -> tuple[MessageCodec, ...]:
         """All frames in bus order."""
-        return (self.speed, *self) if self.speed else tuple(self)
+        return ((self.speed,) if self.speed else ()) + self.witnesses + tuple(self)
+
+    @property
+    def inputs(self) -> tuple[MessageCodec, ...]:
+        """The plant node's frames of every tick, in bus order."""
+        return (*((self.speed,) if self.speed else ()), self.reference, self.feedback)
 
     @property
     def offered(self) -> int:
-        """How many frames the plant node sends at the start of a tick, before all other frames."""
-        return 2 if self.speed is None else 3
+        """How many frames the plant node sends in every tick, before the controller's."""
+        return len(self.inputs)
 
     @property
     def has_ticks(self) -> bool:
@@ -97,17 +111,25 @@ class Network:
         return tuple(codec.frame_id | codec.extended * EXTENDED_FLAG for codec in self.on_the_bus)
 
 
-def load_network(path: str | Path, says_speed: bool = False) -> Network:
-    """The rig's frames in the DBC at ``path``; includes the speed frame if ``says_speed``.
+def load_network(
+    path: str | Path, says_speed: bool = False, sensors: tuple[str, ...] = ()
+) -> Network:
+    """The rig's frames in the DBC at ``path``.
+
+    Args:
+        path: the file.
+        says_speed: includes the frame of the speed.
+        sensors: roles of the included frames of further sensors.
 
     Raises:
         DbcError: an invalid DBC, a missing or repeated role, a layout other than the rig's, an
             `E2EDataId` that is missing or shares its CRC with another.
     """
     by_role: dict[int | str, Message] = {}
+    wanted = (*ROLES, *((SPEED,) if says_speed else ()), *sensors)
     for message in load_dbc(path).messages:
         role = attribute(message, "RigRole")
-        if role is None or role == "none" or (role == SPEED and not says_speed):
+        if role is None or role not in wanted:
             continue
         other = by_role.setdefault(role, message)
         if other is not message:
@@ -115,19 +137,20 @@ def load_network(path: str | Path, says_speed: bool = False) -> Network:
                 f"{path}: messages {other.name} and {message.name} both have RigRole {role}; "
                 "exactly one must"
             )
-    for role in (*ROLES, SPEED) if says_speed else ROLES:
+    for role in wanted:
         if role not in by_role:
             raise DbcError(f"{path}: no message has RigRole {role}; exactly one must")
     first, second, third, fourth, last = (_codec(by_role[role], role, path) for role in ROLES)
     speed = _codec(by_role[SPEED], SPEED, path) if says_speed else None
-    network = Network(first, second, third, fourth, last, speed=speed)
+    witnesses = tuple(_codec(by_role[role], role, path, True) for role in sensors)
+    network = Network(first, second, third, fourth, last, speed=speed, witnesses=witnesses)
     require_distinct_data_ids(network, path)
     return network
 
 
-def _codec(message: Message, role: str, path: str | Path) -> MessageCodec:
+def _codec(message: Message, role: str, path: str | Path, is_witness: bool = False) -> MessageCodec:
     where = f"{path}: message {message.name}"
-    require_layout(message, role, where)
+    require_layout(message, role, where, is_witness)
     data_id = attribute(message, "E2EDataId")
     if not isinstance(data_id, int) or not 0 < data_id <= 0xFFFF:
         raise DbcError(f"{where}: E2EDataId is {data_id}; it must be 1..65535")
@@ -150,12 +173,14 @@ def _codec(message: Message, role: str, path: str | Path) -> MessageCodec:
         raw_maximum=raw_maximum,
         minimum=raw_minimum * lsb,
         maximum=raw_maximum * lsb,
-        modes=words_of(mode),
+        modes=words_of(signals.get("Valid") if is_witness else mode),
         fault_states=words_of(fault_state),
         verdicts=words_of(signals.get("Verdict")),
-        layout=RigLayout(
+        layout=RigLayout((VALID_SHIFT, VALID_SHIFT), SAMPLE_BITS, (1, 0))
+        if is_witness
+        else RigLayout(
             (mode.start - 8, fault_state.start - 8) if mode and fault_state else None,
-            says_verdict(message),
+            VERDICT_BITS * says_verdict(message),
         ),  # within byte 1
         not_available=not_available(value.length),
     )
@@ -174,7 +199,7 @@ def require_distinct_data_ids(network: Network, path: str | Path) -> None:
         DbcError: names both messages.
     """
     by_crc: dict[int, MessageCodec] = {}
-    for codec in network.by_role:
+    for codec in network.on_the_bus:
         if codec.data_id is None:
             continue
         frame = bytearray(FRAME_BYTES)
@@ -189,7 +214,8 @@ def require_distinct_data_ids(network: Network, path: str | Path) -> None:
 
 def value_signal(message: Message) -> Signal:
     """The scaled signal of a message accepted by `require_layout`."""
-    return next(s for s in message.signals if (s.start, s.length) in (_VALUE, _VALUE_OVER_VERDICT))
+    places = (_VALUE, _VALUE_OVER_VERDICT, _VALUE_OVER_SAMPLE_TICK)
+    return next(s for s in message.signals if (s.start, s.length) in places)
 
 
 def says_verdict(message: Message) -> bool:
@@ -202,8 +228,10 @@ def not_available(length: int) -> int:
     return -(1 << (length - 1))
 
 
-def require_layout(message: Message, role: str, where: str) -> None:
+def require_layout(message: Message, role: str, where: str, is_witness: bool = False) -> None:
     """Check ``message`` against the layout of the frame with this role.
+
+    ``is_witness`` says that a further sensor sends the frame.
 
     Raises:
         DbcError: another layout; ``where`` (file and message) begins the line.
@@ -227,6 +255,10 @@ def require_layout(message: Message, role: str, where: str) -> None:
     if role == "status" and says_verdict(message):
         _require_verdict(signals.pop("Verdict"), where)
         place = _VALUE_OVER_VERDICT
+    if is_witness:
+        _require_plain(signals.pop("Valid", None), "Valid", _VALID, where)
+        _require_plain(signals.pop("SampleTick", None), "SampleTick", _SAMPLE_TICK, where)
+        place = _VALUE_OVER_SAMPLE_TICK
     if len(signals) != 1:
         raise DbcError(
             f"{where}: signals {sorted(signals)} in addition to the header; "

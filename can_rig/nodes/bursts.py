@@ -146,7 +146,7 @@ class Bursts:
 @cache
 def warm_up() -> None:
     """Compile, or load from the cache, before the first tick and before a process is forked."""
-    whole, scales = np.zeros((1, 5), np.int64), np.ones((1, 6))
+    whole, scales = np.zeros((1, 7), np.int64), np.ones((1, 6))
     counters = np.zeros(1, np.int64)
     text, frames = np.zeros(LINE_BYTES, np.uint8), np.zeros((1, _WORDS), np.int64)
     _pack(whole, scales, counters, frames, text, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0)

@@ -19,6 +19,7 @@ from can_rig.buses.local.bus import LocalBus
 from can_rig.controllers.protocol import Answer, Status, said
 from can_rig.frames.codec import MessageCodec, Record, ticks_ahead
 from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.hearing import Hearing
 from can_rig.frames.network import Network
 from can_rig.nodes.bursts import Bursts
 from can_rig.nodes.bus_access import PersistentSender, Send
@@ -27,6 +28,7 @@ from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.reference import reference, refuse_saturation
+from can_rig.scenario.sensor_settings import SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
 
 COMMANDS: Final = 2
@@ -47,6 +49,8 @@ def bursts_of(
     ``healthy`` says that no frame fault changes the frames of ``codecs``; see ``Bursts``.
     """
     if local is None or not healthy or not local.bursts or not network.is_the_rigs:
+        return None
+    if network.witnesses:  # a tick then has as many frames as are due
         return None
     assert isinstance(send, PersistentSender)
     return Bursts(local, send, codecs, receivers, lines)
@@ -88,7 +92,7 @@ class PlantEnd:
         changing: bool = False,
         local: tuple[LocalBus | None, CandumpLines | None] = (None, None),
     ) -> None:
-        self.plant: Final = SimulatedPlant(scenario, changing)
+        self.plant: Final = SimulatedPlant(scenario, changing, network)
         self.reference_offset = 0.0
         """Added to the scenario's reference, m/s²."""
         refuse_saturation(scenario, network)
@@ -100,6 +104,7 @@ class PlantEnd:
         self._send_feedback = Transmitter(network.feedback)
         self._send_nothing = Transmitter(network.feedback)  # with the counter of the other
         self._send_speed = None if network.speed is None else Transmitter(network.speed)
+        self._witnesses = [Transmitter(codec) for codec in network.witnesses]
         self._speeds = np.empty(0) if network.speed is None else speeds_at_ticks(scenario)
         self._faults = FrameFaults(scenario, network, changing)
         self._receivers = tuple(
@@ -112,7 +117,7 @@ class PlantEnd:
         self.bursts: Final = bursts_of(
             network,
             send,
-            network.on_the_bus[: network.offered],
+            network.inputs,
             self._receivers,
             not self._faults.concerns(SENSOR_PLACE),
             *local,
@@ -139,7 +144,13 @@ class PlantEnd:
             feedback = self._faults.on_the_wire(
                 own, SENSOR_PLACE, tick, self._send_nothing.frame(math.nan, tick)
             )
-        self._offered = (reference, *feedback)
+        witnesses = [
+            self._witnesses[each.sensor].frame(
+                each.value, tick, int(each.valid), 0, each.sample_tick % SAMPLE_TICKS
+            )
+            for each in self.plant.said
+        ]
+        self._offered = (*witnesses, reference, *feedback)
         if self._send_speed is not None:
             self._offered = (self._send_speed.frame(self._speeds.item(tick), tick), *self._offered)
 
@@ -229,6 +240,8 @@ class ControllerEnd:
         self.faults: Final = FrameFaults(scenario, network)
         """Those of the answer."""
         self._rejected: Rejected = {}
+        self._timings = [each.timing(scenario.tick_s) for each in scenario.sensors]
+        self._names = [each.usual.column for each in scenario.sensors]
         self._begin()
 
     def restart(self) -> None:
@@ -242,6 +255,8 @@ class ControllerEnd:
         self.reference = Receiver(network.reference)
         self.feedback = Receiver(network.feedback)
         self.speed = None if network.speed is None else Receiver(network.speed)
+        self.witnesses = Hearing(network.witnesses, self._timings, self._names)
+        """Those of the further sensors."""
         self._commands = (Transmitter(network.command_1), Transmitter(network.command_2))
         self._status = Transmitter(network.status)
         answers = (network.command_1, network.command_2, network.status)
@@ -290,7 +305,8 @@ class ControllerEnd:
 
     def rejected(self) -> Rejected:
         """Per message, how many frames were not used and why."""
-        now = {receiver.codec.name: receiver.rejected for receiver in self._receivers}
+        receivers = (*self._receivers, *self.witnesses.receivers)
+        now = {receiver.codec.name: receiver.rejected for receiver in receivers}
         return all_rejected(self._rejected, now)
 
     @property

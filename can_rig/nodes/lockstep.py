@@ -375,6 +375,7 @@ class ControllerNode(AnsweringNode):
         self._expected: int | None = None  # the first contact sets the tick
         self._first_reference: can.Message | None = None
         self._first_speed: can.Message | None = None
+        self._first_witnesses: dict[int, can.Message] = {}
 
     def _restart(self) -> None:
         """See ``AnsweringNode``."""
@@ -407,6 +408,8 @@ class ControllerNode(AnsweringNode):
             return False
         if self._end.is_speed(message):
             self._take_speed(message)
+        elif self._end.witnesses.concerns(message):
+            self._end.witnesses.take(message, self._expected)
         elif message.arbitration_id == self._end.reference.codec.frame_id:
             record = self._end.reference.accept(message, self._expected)
             self._reference_now = record or self._reference_now
@@ -430,6 +433,8 @@ class ControllerNode(AnsweringNode):
                 self._first_reference = message
         elif self._end.is_speed(message):
             self._first_speed = message
+        elif self._end.witnesses.concerns(message):
+            self._first_witnesses[message.arbitration_id] = message
         elif message.arbitration_id == feedback.codec.frame_id and self._first_reference:
             pair = ((reference, self._first_reference), (feedback, message))
             one, other = (Receiver(receiver.codec).accept(frame) for receiver, frame in pair)
@@ -440,6 +445,8 @@ class ControllerNode(AnsweringNode):
                     self._outages.popleft()  # of before the start of a log
                 if self._first_speed is not None:
                     self._take_speed(self._first_speed)
+                for earlier in self._first_witnesses.values():
+                    self._end.witnesses.take(earlier, one.tick)
                 return True
         return False
 
@@ -476,7 +483,8 @@ class ControllerNode(AnsweringNode):
     def _respond(self, tick: int, reference: float, measurement: float) -> None:
         if self._actuation is not None and not self._actuation.begin(tick, self._controller):
             reference = measurement = math.nan
-        answer = self._controller.step(Inputs(reference, measurement, self._speed_now))
+        heard = self._end.witnesses.end_tick(tick)
+        answer = self._controller.step(Inputs(reference, measurement, self._speed_now, heard))
         self._speed_now = math.nan
         if self._actuation is not None:
             self._actuation.send(tick, (answer.command_1, answer.command_2))
@@ -497,7 +505,7 @@ class EcuNode(AnsweringNode):
         self._ecu = ecu
         speed = () if network.speed is None else (network.speed,)
         self._inputs = (network.reference, network.feedback, *speed)
-        self._wanted = {codec.frame_id for codec in network.on_the_bus[: network.offered]}
+        self._wanted = {codec.frame_id for codec in network.inputs}
         commands = (network.command_1, network.command_2)
         self._channels = {codec.frame_id: channel for channel, codec in enumerate(commands)}
         self._faults = FrameFaults(scenario, network)

@@ -113,7 +113,7 @@ class RunWithoutBus:
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""
         network = self._network
-        own = network.on_the_bus[: network.offered]
+        own = network.inputs
         always: dict[str, dict[str, int]] = {codec.name: {} for codec in own}
         return delivery(self._scenario, network, self.ticks).rejected | always
 

@@ -75,6 +75,8 @@ class FollowedCommand:
         a[:k, :k], a[k, :k] = lag_a, lag_c
         b[:k, 0], b[k, 0] = lag_b, 0.0 if k else 1.0
         self._part_s = tick_s / parts
+        self.acted = 0.0
+        """The acting value just before the tick to which ``follow`` has advanced."""
         self._steps = [
             held_input(a, b, self._part_s, (max(late * parts - part, 0.0),))
             for part in range(parts)
@@ -96,6 +98,7 @@ class FollowedCommand:
             self._state[-1] = 0.0
             self._state = phi @ self._state + gamma[:, 0] * new + gamma_old[:, 0] * old
             means.append(float(self._state[-1]) / self._part_s)
+        self.acted = float(self._state[0]) if self._lags else new
         return means
 
     def _entering(self, command: float) -> tuple[float, float]:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
+from can_rig.errors import ScenarioError
 from can_rig.logs.columns import APPLIED, TRUE_OUTPUT
 from can_rig.plant.actuators import FollowedCommand
 from can_rig.plant.disturbances import Disturbances
@@ -20,8 +21,17 @@ from can_rig.plant.sensor import FilteredSamples
 from can_rig.scenario.build import but_for_noise, continuous_car, continuous_plant
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
+from can_rig.scenario.sensor_settings import FurtherSensor
 from firmware_model.analysis.sampled_plant import SampledPlant, follow, sample
-from firmware_model.design.actuator_dynamics import IDEAL
+from firmware_model.analysis.witnesses import (
+    ECHO,
+    Reading,
+    acting_before,
+    read_witnesses,
+    with_readings,
+)
+from firmware_model.design.actuator_dynamics import IDEAL, Stage
+from firmware_model.design.vehicle import SPECIFIC_FORCE, WORLD
 from firmware_model.law.structs import FloatArray
 
 LONGEST_STEP_S = 5e-4
@@ -30,9 +40,14 @@ LONGEST_STEP_S = 5e-4
 CAR_STATES = ("side_slip_rad", "yaw_rate_rad_per_s", None, "steering_angle_rad")
 """State names of the linear car, in state order."""
 
+_CALM: Final[FloatArray] = np.zeros(len(WORLD))
+
 
 class PlantBehind(Protocol):
     """A plant behind its actuators and its sensor, initially at rest."""
+
+    witnesses: FloatArray
+    """(r,), what the scenario's further sensors read at this tick, without errors."""
 
     def report(
         self, command_1: float, command_2: float, left_1: float, left_2: float
@@ -49,36 +64,58 @@ class PlantBehind(Protocol):
         """
 
 
-def plant_behind(settings: PlantSettings, tick_s: float) -> PlantBehind:
-    """Make the plant of ``settings``, at rest, behind its actuators and its sensor.
+Sensors = tuple[FurtherSensor, ...]
+
+
+def plant_behind(settings: PlantSettings, tick_s: float, sensors: Sensors = ()) -> PlantBehind:
+    """Make the plant of ``settings``, at rest, behind its actuators and its sensors.
 
     Raises:
         ScenarioError: an unstable car, or a class without the plant's methods.
     """
     if settings.is_own:
-        return ClassBehind(settings, tick_s)
-    return LinearBehind(settings, tick_s)
+        return ClassBehind(settings, tick_s, sensors)
+    return LinearBehind(settings, tick_s, sensors)
+
+
+def readings_of(sensors: Sensors) -> list[Reading]:
+    """What further sensors read of a linear plant."""
+    return [Reading(_READS[each.measures], each.lag_s) for each in sensors]
+
+
+_READS: Final[dict[str, int]] = {
+    "yaw-rate": 0,
+    "lateral-acceleration": SPECIFIC_FORCE,
+    "steering-angle": 2,
+    "torque-echo": ECHO,
+    "force-difference-echo": ECHO + 1,
+}
 
 
 @remembered(16, by=but_for_noise)
-def sampled_plant(settings: PlantSettings, tick_s: float) -> SampledPlant:
-    """A linear plant behind its actuators and its sensor between two ticks.
+def sampled_plant(settings: PlantSettings, tick_s: float, sensors: Sensors = ()) -> SampledPlant:
+    """A linear plant behind its actuators and its sensors between two ticks.
 
     Raises:
         ScenarioError: a car that is not stable.
     """
-    return sample(continuous_plant(settings), tick_s)
+    plant, readings = with_readings(
+        continuous_plant(settings), settings.stages, readings_of(sensors)
+    )
+    return sample(plant, tick_s, readings)
 
 
 class LinearBehind:
     """The thesis's plants: one matrix for car, actuators and sensor."""
 
-    def __init__(self, settings: PlantSettings, tick_s: float) -> None:
-        self.sampled = sampled_plant(settings, tick_s)
+    def __init__(self, settings: PlantSettings, tick_s: float, sensors: Sensors = ()) -> None:
+        self.sampled = sampled_plant(settings, tick_s, sensors)
+        self.witnesses = np.zeros(len(sensors))
         self._constants, self.memory = self.sampled.constants, self.sampled.memory
         # Compile before the first tick, on a separate memory.
         follow(self._constants, self.sampled.memory, 0, 0.0, 0.0, 1.0, 1.0)
         self._tick = 0
+        self.read(0.0, 0.0, 1.0, 1.0, _CALM)
         self._output = 0.0
         self._names = CAR_STATES if settings.is_car else ()
         at = len(continuous_car(settings).a)
@@ -154,8 +191,40 @@ class LinearBehind:
         output, read = follow(
             self._constants, self.memory, self._tick, command_1, command_2, left_1, left_2
         )
+        self.read(command_1, command_2, left_1, left_2, _CALM)
         self.moved(output)
         return output, read
+
+    def acted(
+        self, command_1: float, command_2: float, left_1: float, left_2: float
+    ) -> tuple[float, float]:
+        """What acted on the inputs just before the tick to which ``memory`` has advanced."""
+        return (
+            acting_before(self._constants, self.memory, self._tick, command_1, left_1, 0),
+            acting_before(self._constants, self.memory, self._tick, command_2, left_2, 1),
+        )
+
+    def read(
+        self,
+        command_1: float,
+        command_2: float,
+        left_1: float,
+        left_2: float,
+        world: FloatArray,
+    ) -> None:
+        """Read the further sensors at the tick to which ``memory`` has advanced.
+
+        Args:
+            command_1: of the tick before; likewise the three next.
+            command_2: see ``command_1``.
+            left_1: see ``command_1``.
+            left_2: see ``command_1``.
+            world: its inputs at the new tick.
+        """
+        if len(self.witnesses):
+            acted = self.acted(command_1, command_2, left_1, left_2)
+            readings = self.sampled.readings.constants
+            read_witnesses(readings, self.memory[0], world, *acted, self.witnesses)
 
     def moved(self, output: float) -> None:
         """Record a tick that advanced ``memory``; ``output`` is D* of the car."""
@@ -173,7 +242,11 @@ class ClassBehind:
     """
 
     def __init__(
-        self, settings: PlantSettings, tick_s: float, world: Disturbances | None = None
+        self,
+        settings: PlantSettings,
+        tick_s: float,
+        sensors: Sensors = (),
+        world: Disturbances | None = None,
     ) -> None:
         plant = load_plant(settings.kind, settings)
         if world is not None:
@@ -190,8 +263,14 @@ class ClassBehind:
         self._ideal = ideal
         self._sensor = FilteredSamples(sensor, self._step_s)
         self._output = 0.0
+        self.witnesses = np.zeros(len(sensors))
+        self._sources = [each.source for each in sensors]
+        self._filters = [FilteredSamples(Stage(each.lag_s), tick_s) for each in sensors]
+        self._channels = [_READS[each.measures] - ECHO for each in sensors]
         self._plant.advance(self._step_s, 0.0, 0.0)  # compile before the first tick
         self._plant.reset()
+        if sensors:
+            self._require(settings.kind)
 
     def report(
         self, command_1: float, command_2: float, left_1: float, left_2: float
@@ -213,6 +292,7 @@ class ClassBehind:
         if self._ideal:
             acting = left_1 * command_1, left_2 * command_2
             self._output = self._plant.advance(self._step_s, *acting, *world[:1])
+            self._read(acting)
             return self._output, self._output
         read = 0.0
         means_1 = self._actuators[0].follow(command_1, left_1)
@@ -221,7 +301,27 @@ class ClassBehind:
             around = world[step : step + 1]
             self._output = self._plant.advance(self._step_s, torque_nm, force_n, *around)
             read = self._sensor.next(self._output)
+        self._read((self._actuators[0].acted, self._actuators[1].acted))
         return self._output, read
+
+    def _require(self, kind: str) -> None:
+        """Refuse a plant that does not report what a further sensor reads."""
+        reported = self._plant.readable()
+        for source in self._sources:
+            if source and source not in reported:
+                raise ScenarioError(
+                    f"sensor: plant.kind = {kind!r}: signals() must report {source}, or "
+                    f"sensor.signal name another; reported: {', '.join(reported) or 'nothing'}"
+                )
+
+    def _read(self, acted: tuple[float, float]) -> None:
+        """Read the further sensors; straight lines connect the ticks for their filters."""
+        if not self._sources:
+            return
+        reported = self._plant.readable()
+        for at, (source, behind) in enumerate(zip(self._sources, self._filters, strict=True)):
+            truth = reported[source] if source else acted[self._channels[at]]
+            self.witnesses[at] = behind.next(truth)
 
     def _next_world(self) -> list[FloatArray]:
         """The world around each step of this tick; empty in a calm world."""

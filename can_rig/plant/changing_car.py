@@ -12,7 +12,9 @@ from can_rig.plant.behind import (
     ClassBehind,
     LinearBehind,
     PlantBehind,
+    Sensors,
     plant_behind,
+    readings_of,
     sampled_plant,
 )
 from can_rig.plant.disturbances import BANK, BLOCK, Disturbances
@@ -26,10 +28,12 @@ from firmware_model.analysis.changing_plant import (
     ChangingPlant,
     changing_plant,
     follow_changing,
+    read_changing,
     specific_force,
 )
 from firmware_model.analysis.pushed_plant import PushedPlant, follow_pushed, pushed_plant, witness
 from firmware_model.analysis.sampled_plant import SampledPlant
+from firmware_model.analysis.witnesses import with_readings
 from firmware_model.analysis.world_loop import run_changing, run_pushed
 from firmware_model.design.vehicle import GRAVITY_MPS2, SPECIFIC_FORCE
 from firmware_model.law.structs import FloatArray
@@ -49,9 +53,9 @@ def plant_of(scenario: Scenario) -> PlantBehind:
     if scenario.drive.is_given or (world and world.changes_friction and not scenario.plant.is_own):
         return ChangingCar(scenario, world)
     if world is None:
-        return plant_behind(scenario.plant, scenario.tick_s)
+        return plant_behind(scenario.plant, scenario.tick_s, scenario.sensors)
     if scenario.plant.is_own:
-        return ClassBehind(scenario.plant, scenario.tick_s, world)
+        return ClassBehind(scenario.plant, scenario.tick_s, scenario.sensors, world)
     return PushedCar(scenario, world)
 
 
@@ -63,17 +67,24 @@ def linear_plant(scenario: Scenario) -> SampledPlant | None:
     """
     if scenario.plant.is_own or scenario.drive.is_given or scenario.disturbances:
         return None
-    return sampled_plant(scenario.plant, scenario.tick_s)
+    return sampled_plant(scenario.plant, scenario.tick_s, scenario.sensors)
 
 
 @remembered(4)
-def _changing(settings: PlantSettings, fastest_mps: float, tick_s: float) -> ChangingPlant:
-    return changing_plant(settings, settings.variant, settings.stages, fastest_mps, tick_s)
+def _changing(
+    settings: PlantSettings, fastest_mps: float, tick_s: float, sensors: Sensors
+) -> ChangingPlant:
+    return changing_plant(
+        settings, settings.variant, settings.stages, fastest_mps, tick_s, readings_of(sensors)
+    )
 
 
 @remembered(4)
-def _pushed(settings: PlantSettings, tick_s: float) -> PushedPlant:
-    return pushed_plant(continuous_plant(settings), tick_s)
+def _pushed(settings: PlantSettings, tick_s: float, sensors: Sensors) -> PushedPlant:
+    plant, readings = with_readings(
+        continuous_plant(settings), settings.stages, readings_of(sensors)
+    )
+    return pushed_plant(plant, tick_s, readings)
 
 
 class ChangingCar:
@@ -86,8 +97,9 @@ class ChangingCar:
             else SpeedProfile(np.zeros(1), np.array([scenario.plant.speed_mps]))
         )
         _, fastest = profile.range_mps
-        changing = _changing(scenario.plant, fastest, scenario.tick_s)
-        self._car = LinearBehind(scenario.plant, scenario.tick_s)
+        changing = _changing(scenario.plant, fastest, scenario.tick_s, scenario.sensors)
+        self._car = LinearBehind(scenario.plant, scenario.tick_s, scenario.sensors)
+        self.witnesses, self._acting = self._car.witnesses, changing.acting
         self._world, self._says_speed = world, scenario.drive.is_given
         self._constants, self._work = changing.constants, changing.work
         self._changing, self._profile, self._tick_s = changing, profile, scenario.tick_ns * 1e-9
@@ -95,6 +107,7 @@ class ChangingCar:
         spare = (self._car.sampled.memory, changing.work, self._within(0))
         follow_changing(self._constants, *spare, 0, 0.0, 0.0, 1.0, 1.0, NO_WORLD)  # compiles
         specific_force(self._constants, self._car.memory[0], fastest, NO_WORLD)
+        self._read(0.0, 0.0, 1.0, 1.0)
 
     def report(
         self, command_1: float, command_2: float, left_1: float, left_2: float
@@ -127,8 +140,26 @@ class ChangingCar:
             NO_WORLD if self._world is None else self._world.during(self._tick),
         )
         self._tick += 1
+        self._read(command_1, command_2, left_1, left_2)
         self._car.moved(output)
         return output, read
+
+    def _read(
+        self,
+        command_1: float,
+        command_2: float,
+        left_1: float,
+        left_2: float,
+    ) -> None:
+        """Read the further sensors at this tick; the commands are those of the tick before."""
+        if len(self.witnesses):
+            acted = self._car.acted(command_1, command_2, left_1, left_2)
+            speed_mps = self._profile(np.array(self._tick * self._tick_s)).item()
+            world = NO_WORLD if self._world is None else self._world.during(self._tick)
+            read_changing(
+                self._constants, self._car.memory[0], speed_mps, world, self._acting, *acted,
+                self.witnesses,
+            )  # fmt: skip
 
     def _within(self, tick: int) -> FloatArray:
         """``ChangingPlant.speeds`` of a tick, computed in pages, however long the run is."""
@@ -161,8 +192,9 @@ class PushedCar:
     """``LinearBehind`` that the world pushes, on a dry road; see ``PlantBehind``."""
 
     def __init__(self, scenario: Scenario, world: Disturbances) -> None:
-        pushed = _pushed(scenario.plant, scenario.tick_s)
-        self._car = LinearBehind(scenario.plant, scenario.tick_s)
+        pushed = _pushed(scenario.plant, scenario.tick_s, scenario.sensors)
+        self._car = LinearBehind(scenario.plant, scenario.tick_s, scenario.sensors)
+        self.witnesses = self._car.witnesses
         self._world, self._constants = world, pushed.constants
         self._rows = pushed.rows, pushed.direct
         self._tick = 0
@@ -194,6 +226,7 @@ class PushedCar:
             left_2,
             now,
         )
+        self._car.read(command_1, command_2, left_1, left_2, now[1])
         self._tick += 1
         self._car.moved(output)
         return output, read

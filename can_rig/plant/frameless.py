@@ -6,7 +6,6 @@ times faster.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -16,7 +15,7 @@ from can_rig.controllers.making import peer_of
 from can_rig.controllers.protocol import Inputs as ControllerInputs
 from can_rig.controllers.protocol import said
 from can_rig.errors import RigError, ScenarioError
-from can_rig.frames.codec import NO_DECISION, MessageCodec
+from can_rig.frames.codec import NO_DECISION
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.plant.actuators import actuator_limits
@@ -25,13 +24,14 @@ from can_rig.plant.changing_car import linear_plant, plant_of
 from can_rig.plant.faults.frame_faults import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import noise
+from can_rig.plant.witnesses import frame_row
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.fault_settings import PLACES, RESTARTED
 from can_rig.scenario.reference import reference
 from can_rig.scenario.remembered import remembered, state_of_file
 from can_rig.scenario.settings import LimitSettings, Scenario
-from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED, frame_of
+from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED
 from firmware_model.analysis.read_off import NotLinearError, read_off
 from firmware_model.analysis.sampled_loop import LinearController
 from firmware_model.analysis.sampled_plant import SampledPlant
@@ -240,17 +240,12 @@ def simulation(
         limits=actuator_limits(scenario.plant, scenario.tick_s),
         resolution=scenario.plant.sensor.resolution_mps2,
         frames=np.array(
-            [_frame(codec) for codec in (network.command_1, network.command_2, network.feedback)]
+            [frame_row(codec) for codec in (network.command_1, network.command_2, network.feedback)]
         ),
         keeps_states=keeps_states,
         at_rest=at_rest,
         restarts=[outage.stop for outage in scenario.outages],
     )
-
-
-def _frame(codec: MessageCodec) -> FloatArray:
-    bits = 8 * struct.calcsize(codec.float_format) if codec.float_format else 0
-    return frame_of(codec.lsb, codec.minimum, codec.maximum, bits)
 
 
 def law_of(scenario: Scenario, network: Network | None) -> Scheduled | None:

@@ -161,6 +161,15 @@ class GuardedPlant:
         self._time_s += dt_s
         return float(answer)
 
+    def readable(self) -> dict[str, float]:
+        """What further sensors can read: ``signals``, and a car's ``witnesses`` without a column.
+
+        Raises:
+            RigError: as ``signals``.
+        """
+        hidden = getattr(self._plant, "witnesses", None)
+        return {**(hidden() if callable(hidden) else {}), **self.signals()}
+
     def signals(self) -> dict[str, float]:
         """What the plant reports besides D*; see ``ReportingPlant``.
 

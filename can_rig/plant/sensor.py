@@ -59,20 +59,29 @@ def noise(scenario: Scenario) -> FloatArray:
 
 @remembered(1)
 def _drawn(seed: int, sensor: SensorSettings, tick_s: float, ticks: int) -> FloatArray:
-    return NoiseColumns(seed, sensor, tick_s).next(ticks)
+    return NoiseColumns(seed, sensor.noise_mps2, sensor.lag_s, tick_s).next(ticks)
 
 
 class NoiseColumns:
-    """The noise of a run, many ticks at once; see ``noise``."""
+    """The noise of a sensor, many ticks at once; see ``noise``.
 
-    def __init__(self, seed: int, sensor: SensorSettings, tick_s: float) -> None:
+    Args:
+        seed: of the scenario, or derived from it for another sensor.
+        rms: of the noise.
+        lag_s: of the filter that colours the noise; 0: white noise.
+        tick_s: the tick, seconds.
+    """
+
+    def __init__(
+        self, seed: int | np.random.SeedSequence, rms: float, lag_s: float, tick_s: float
+    ) -> None:
         self._random = np.random.Generator(np.random.PCG64(seed))
-        self._rms = sensor.noise_mps2
-        self._memory = math.exp(-tick_s / sensor.lag_s) if sensor.lag_s > 0.0 else 0.0
+        self._rms = rms
+        self._memory = math.exp(-tick_s / lag_s) if lag_s > 0.0 else 0.0
         self._last: FloatArray = np.empty(0)
 
     def next(self, ticks: int) -> FloatArray:
-        """(ticks,), m/s², of the next ones."""
+        """(ticks,), in the unit of the rms, of the next ones."""
         if self._rms == 0.0:
             return np.zeros(ticks)
         drawn: FloatArray = self._rms * self._random.standard_normal(ticks)

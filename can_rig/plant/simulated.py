@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from can_rig.frames.network import Network
 from can_rig.plant.actuators import Actuator, actuator_limits
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.plant_faults import FaultsByTick
 from can_rig.plant.sensor import SensorNoise
+from can_rig.plant.witnesses import Said, SensesByTick
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import LATE, SENSOR, distorted, limited, sensor_reading
 from firmware_model.law.structs import FloatArray
@@ -23,12 +25,15 @@ class SimulatedPlant:
     Args:
         scenario: the run.
         changing: whether ``change_faults`` may be called.
+        network: the frames of the further sensors; None: nobody hears them.
 
     Raises:
         ScenarioError: see ``plant_of``.
     """
 
-    def __init__(self, scenario: Scenario, changing: bool = False) -> None:
+    def __init__(
+        self, scenario: Scenario, changing: bool = False, network: Network | None = None
+    ) -> None:
         hold_ticks = round(scenario.actuator.hold_s / scenario.tick_s)
         self._plant = plant_of(scenario)
         self._tick = 0
@@ -48,6 +53,12 @@ class SimulatedPlant:
         """The applied commands of both actuators in the last tick."""
         self._said = 0.0
         self._noise = SensorNoise(scenario)
+        self._senses = None
+        if network is not None and network.witnesses:
+            self._senses = SensesByTick(scenario, network.witnesses, self._faults.latest_ticks)
+        self._told = (0.0, 0.0)  # the commands that came to the actuators in the last tick
+        self.said: list[Said] = []
+        """What the further sensors say at the tick of ``measure``."""
         self._resolution = scenario.plant.sensor.resolution_mps2
         # Compile before the first tick.
         sensor_reading(0.0, 0.0, 0.0, self._resolution)
@@ -56,9 +67,13 @@ class SimulatedPlant:
     def change_faults(self, scenario: Scenario) -> None:
         """Take the faults of ``scenario`` from this tick on, before its measurement."""
         self._faults.change(scenario)
+        if self._senses is not None:
+            self._senses.change_faults(scenario, self._tick)
 
     def measure(self) -> float:
         """The sensor's present reading of D*, m/s²."""
+        if self._senses is not None:
+            self.said = self._senses.take(self._tick, self._plant.witnesses, self._told)
         now = self._faults.at(self._tick)
         reading = float(sensor_reading(self._read, now.bias, self._noise.next(), self._resolution))
         if now.rows is None:
@@ -86,7 +101,7 @@ class SimulatedPlant:
             self._on_the_way,
             (self._actuators[0].hear(command_1), self._actuators[1].hear(command_2)),
         )
-        reached_1, reached_2 = self._on_the_way[-1 - self._latency_ticks]
+        reached_1, reached_2 = self._told = self._on_the_way[-1 - self._latency_ticks]
         if now.rows is not None:
             reached_1, reached_2 = (self._faulty(channel, now.rows[channel]) for channel in (0, 1))
         if self._is_limited:

@@ -64,9 +64,11 @@ def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
 
 
 def undisturbed(scenario: Scenario, signals: Signals) -> Counterfactual:
-    """The same run without faults, disturbances and compensation; with the same noise."""
-    off = replace(scenario.design, compensation="off")
-    return _instead(replace(scenario.healthy, disturbance=(), design=off), signals, len(signals))
+    """The same run without faults, disturbances and our law's compensation; with the same noise."""
+    calm = replace(scenario.healthy, disturbance=())
+    if scenario.controller.is_ours:
+        calm = replace(calm, design=replace(scenario.design, compensation="off"))
+    return _instead(calm, signals, len(signals))
 
 
 def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:

@@ -26,7 +26,8 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError
 from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS
-from firmware_model.law.structs import FloatArray, Record
+from firmware_model.law.layout import Table
+from firmware_model.law.structs import FloatArray
 
 MOST_PLANTS, MOST_TABLES = 64, 16  # limits of the caches; a box has 40 cars
 
@@ -45,11 +46,14 @@ def network_of(scenario: Scenario) -> Network:
         ScenarioError: a fault that these frames cannot represent.
     """
     chosen = scenario.network
-    if not chosen.signals:
-        return _network(dbc_of(scenario), scenario.drive.is_given)
+    if not chosen.signals.of_frames:
+        roles = tuple(each.role for each in scenario.sensors)
+        network = _network(dbc_of(scenario), scenario.drive.is_given, roles)
+        periods = tuple(each.timing(scenario.tick_s)[0] for each in scenario.sensors)
+        return replace(network, periods=periods) if periods else network
     data_ids = {role: number for role, number in asdict(chosen.data_ids).items() if number}
     ticks = asdict(chosen.ticks) if chosen.ticks else chosen.tick
-    network = map_network(chosen.dbc, Roles(asdict(chosen.signals), ticks, data_ids))
+    network = map_network(chosen.dbc, Roles(chosen.signals.of_frames, ticks, data_ids))
     codecs = (network.command_1, network.command_2, network.feedback)
     for fault in scenario.faults:
         if fault.kind != "frames-corrupted":
@@ -65,13 +69,15 @@ def network_of(scenario: Scenario) -> Network:
 
 
 def dbc_of(scenario: Scenario) -> Path:
-    """The file of the scenario's frames."""
-    return Path(scenario.network.dbc) if scenario.network.dbc else shipped_dbc(scenario.dbc)
+    """The file of the scenario's frames; the signals of a recorded drive alone are not a run's."""
+    chosen = scenario.network
+    own = chosen.dbc and (chosen.signals.of_frames or not chosen.signals)
+    return Path(chosen.dbc) if own else shipped_dbc(scenario.dbc)
 
 
 @cache
-def _network(dbc: Path, says_speed: bool) -> Network:
-    return load_network(dbc, says_speed)
+def _network(dbc: Path, says_speed: bool, sensors: tuple[str, ...]) -> Network:
+    return load_network(dbc, says_speed, sensors)
 
 
 def but_for_noise(settings: PlantSettings, *others: object) -> tuple[object, ...]:
@@ -266,7 +272,7 @@ def reference_acceleration(scenario: Scenario) -> float:
     return GOVERNED * torque * abs(g1.gain)
 
 
-def controller_table(scenario: Scenario, network: Network | None) -> Record:
+def controller_table(scenario: Scenario, network: Network | None) -> Table:
     """The constant table of the scenario's controller on ``network`` (None: without frames).
 
     Raises:
@@ -281,7 +287,7 @@ def sources_of_table(scenario: Scenario, network: Network | None) -> tuple[objec
 
 
 @remembered(MOST_TABLES, by=sources_of_table)
-def _table(scenario: Scenario, network: Network | None) -> Record:
+def _table(scenario: Scenario, network: Network | None) -> Table:
     try:
         place = replace(target(scenario, network), mismatch=mismatch(scenario))
         return build(continuous_design(scenario), place)

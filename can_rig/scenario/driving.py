@@ -279,7 +279,7 @@ def at_speed_of(scenario: Scenario, fault: FaultSettings) -> Scenario:
 
 
 def designed_for(scenario: Scenario, speed_mps: float) -> float:
-    """The speed itself, or the slowest with a design if slower: there the controller stands by."""
+    """The speed itself, or the slowest with a design if slower, where that design goes on."""
     speeds = design_speeds(scenario)
     return max(speed_mps, speeds[0] if len(speeds) > 1 else LOW_SPEED_MPS)
 

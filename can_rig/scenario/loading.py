@@ -38,11 +38,16 @@ from can_rig.scenario.plant_settings import (
     TRANSFER_FUNCTIONS,
 )
 from can_rig.scenario.refusal import refusal
+from can_rig.scenario.sensor_settings import FurtherSensor
 from can_rig.scenario.settings import LISTS, Scenario
 
 FAULT: Final = "fault"
 
-NEW: Final = {FAULT: FaultSettings(), "disturbance": DisturbanceSettings("none")}
+NEW: Final = {
+    FAULT: FaultSettings(),
+    "disturbance": DisturbanceSettings("none"),
+    "sensor": FurtherSensor("yaw-rate"),
+}
 """The table that a change of the next free number begins from."""
 
 UNSET: Final = {key for key in NUMBER.values() if getattr(FaultSettings, key) is None}
@@ -320,8 +325,12 @@ def toml_file(what: str, name: str, known: Mapping[str, Path]) -> tuple[Path, di
         raise ScenarioError(f"{what} {name}: no such {what} and no such file; {hint}")
     try:
         return path, tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ScenarioError(f"{what} {name}: not readable as TOML: {error}") from None
+    except ValueError:  # Python's limit on digits
+        most = sys.get_int_max_str_digits()
+        line = f"a number must have at most {most} digits"
+        raise ScenarioError(f"{what} {name}: not readable as TOML: {line}") from None
 
 
 def _copied(value: Any) -> Any:

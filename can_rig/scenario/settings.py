@@ -24,6 +24,7 @@ from can_rig.scenario.fault_settings import (
     Moment,
     outages,
 )
+from can_rig.scenario.log_signals import OF_A_CAR, Role
 from can_rig.scenario.plant_settings import (
     BUILT_IN,
     BY_NUMBERS,
@@ -33,13 +34,18 @@ from can_rig.scenario.plant_settings import (
     PlantSettings,
     SignalSettings,
 )
+from can_rig.scenario.sensor_settings import ECHOES, MEASURED, FurtherSensor
 from firmware_model.discretisation.rules import Rule
 from firmware_model.law.structs import MAX_LATENCY_TICKS, Precision
 
 SLOWEST_DESIGN_MPS: Final = 1.0  # at lower speeds a torque hardly turns the car
 FASTEST_MPS: Final = 100.0
 
-LISTS: Final[dict[str, Any]] = {"fault": FaultSettings, "disturbance": DisturbanceSettings}
+LISTS: Final[dict[str, Any]] = {
+    "fault": FaultSettings,
+    "disturbance": DisturbanceSettings,
+    "sensor": FurtherSensor,
+}
 """Keys with a table or a list of tables, and the settings of a table."""
 
 Speed = Annotated[float, Field(ge=0.0, le=FASTEST_MPS)]
@@ -88,7 +94,7 @@ OPTIONAL: Final = ("mode", "fault_state", "verdict")
 class _Names:
     """Names by key: all except those in ``OPTIONAL``, or an empty table."""
 
-    def _given(self) -> dict[str, str]:
+    def _given(self) -> dict[str, Any]:
         return vars(self)
 
     def __bool__(self) -> bool:
@@ -105,23 +111,63 @@ class _Names:
 
 @dataclass(frozen=True, config=STRICT)
 class SignalNames(_Names):
-    """The signal of each role, as ``Message.Signal``; all except the last three are required."""
+    """The signal of each role, as ``Message.Signal``.
 
-    reference: str = ""
-    feedback: str = ""
-    command_1: str = ""
-    command_2: str = ""
+    A run needs the first five, whose frames the nodes send. A recorded drive needs ``feedback``, or
+    ``yaw_rate``, ``lateral_acceleration`` and ``speed``; and ``torque`` as measured, or
+    ``command_1`` as sent. Its roles may be tables with a unit and a factor, and lists, whose values
+    are added.
+    """
+
+    reference: Role = ""
+    feedback: Role = ""
+    command_1: Role = ""
+    command_2: Role = ""
     fault_estimate: str = ""
     mode: str = ""
     fault_state: str = ""
     verdict: str = ""
+    yaw_rate: Role = ""
+    lateral_acceleration: Role = ""
+    speed: Role = ""
+    torque: Role = ""
+    force_difference: Role = ""
 
     def __post_init__(self) -> None:
-        for key, name in self._given().items():
+        for key in ("fault_estimate", *OPTIONAL):
+            name = getattr(self, key)
             message, dot, signal = name.partition(".")
             if name and not (message and dot and signal):
                 raise ValueError(f"{key} = {name!r}: must be Message.Signal")
-        self._require_all("signals, as Message.Signal")
+        if not any(getattr(self, key) for key in OF_A_CAR):
+            self._require_all("signals, as Message.Signal")
+            return
+        for key in () if self.feedback else ("yaw_rate", "lateral_acceleration", "speed"):
+            if not getattr(self, key):
+                raise ValueError(f"{key}: must be set, for D* of a recorded drive, or feedback")
+        if not (self.torque or self.command_1):
+            raise ValueError("torque: must be set, the measured input of a recorded drive")
+
+    def _given(self) -> dict[str, Any]:
+        return {key: name for key, name in vars(self).items() if key not in OF_A_CAR}
+
+    @property
+    def of_frames(self) -> dict[str, str]:
+        """The names of a run's frames by role; empty for the signals of a recorded drive alone."""
+        given = self._given()
+        whole = all(
+            isinstance(name, str) and (name or key in OPTIONAL) for key, name in given.items()
+        )
+        return given if whole else {}
+
+    @property
+    def are_of_a_drive(self) -> bool:
+        """Whether the roles are those of a recorded drive."""
+        return any(getattr(self, key) for key in OF_A_CAR)
+
+    def __bool__(self) -> bool:
+        """Whether any name is given."""
+        return any(vars(self).values())
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -175,7 +221,7 @@ class NetworkSettings:
             or self.ticks
             or any(number is not None for number in vars(self.data_ids).values())
         )
-        if others and not self.signals:
+        if others and not self.signals.of_frames:
             raise ValueError("signals: must be set beside network.tick, ticks and data_ids")
 
 
@@ -307,6 +353,7 @@ class Scenario:
     drive: DriveSettings = dataclasses.field(default_factory=DriveSettings)
     fault: tuple[FaultSettings, ...] = (FaultSettings(),)
     disturbance: tuple[DisturbanceSettings, ...] = ()
+    sensor: tuple[FurtherSensor, ...] = ()
     limits: LimitSettings = dataclasses.field(default_factory=LimitSettings)
     actuator: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
     network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
@@ -336,6 +383,7 @@ class Scenario:
                 f"disturbance: plant.kind = {self.plant.kind!r}: must be {CAR} or a class; a plant "
                 "by numbers has no side, no road and no column"
             )
+        _refuse_sensors(self)
         _refuse_limits_of_the_model(self.model)
         _refuse_long_dead_times("plant", self.plant, self.tick_s)
         _refuse_long_dead_times("model", self.model, self.tick_s)
@@ -390,6 +438,11 @@ class Scenario:
         """The effective disturbances."""
         return tuple(each for each in self.disturbance if each.kind != "none")
 
+    @cached_property
+    def sensors(self) -> tuple[FurtherSensor, ...]:
+        """The further sensors in the order of their frames, whatever their order in the file."""
+        return tuple(sorted(self.sensor, key=lambda each: MEASURED.index(each.measures)))
+
     @property
     def loss(self) -> FaultSettings:
         """The loss to prepare for: the first fault of a channel, otherwise a default loss."""
@@ -437,7 +490,7 @@ def _refuse_speeds(scenario: Scenario) -> None:
     """Require the linear car, whose frames carry the speed, for drives and several speeds."""
     speeds = scenario.design.speeds_mps
     if not scenario.drive.is_given:
-        if speeds:
+        if speeds and not scenario.network.signals.speed:
             raise ValueError(
                 "design.speeds_mps: must not be set without a drive; the design is for "
                 "model.speed_mps"
@@ -448,7 +501,7 @@ def _refuse_speeds(scenario: Scenario) -> None:
             raise ValueError(
                 f"drive: {table}.kind = {plant.kind!r}: must be {CAR}, the car that has a speed"
             )
-    if scenario.network.signals:
+    if scenario.network.signals.of_frames:
         raise ValueError(
             "drive: network.signals: must not be set; the speed has a message in the rig's own "
             "frames only"
@@ -456,6 +509,38 @@ def _refuse_speeds(scenario: Scenario) -> None:
     for before, after in itertools.pairwise(speeds or ()):
         if not after > before:
             raise ValueError(f"design.speeds_mps: {after:g} after {before:g}: must increase")
+
+
+def _refuse_sensors(scenario: Scenario) -> None:
+    """Refuse two sensors of one quantity, times between ticks, and quantities of another plant."""
+    if scenario.sensor and scenario.network.signals:
+        raise ValueError(
+            "sensor: network.signals: must not be set; further sensors have messages in the rig's "
+            "own frames only"
+        )
+    seen: set[str] = set()
+    for number, sensor in enumerate(scenario.sensor):
+        where = "sensor" if len(scenario.sensor) == 1 else f"sensor.{number}"
+        if sensor.measures in seen:
+            raise ValueError(
+                f"{where}.measures = {sensor.measures!r}: must be another; the scenario has this "
+                "sensor already"
+            )
+        seen.add(sensor.measures)
+        if scenario.plant.kind in BY_NUMBERS and sensor.measures not in ECHOES:
+            raise ValueError(
+                f"{where}.measures = {sensor.measures!r}: must be {' or '.join(ECHOES)}; a plant "
+                "by numbers has no yaw and no steering"
+            )
+        if sensor.signal and not scenario.plant.is_own:
+            raise ValueError(
+                f"{where}.signal = {sensor.signal!r}: must be left out; only a class or an FMU "
+                "reports signals by names of its own"
+            )
+        try:
+            sensor.refuse_times(scenario.tick_s)
+        except ValueError as error:
+            raise ValueError(f"{where}.{error}") from None
 
 
 def _refuse_limits_of_the_model(model: PlantSettings) -> None:

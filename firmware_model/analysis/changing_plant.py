@@ -33,6 +33,7 @@ from typing import Any, Final
 import numpy as np
 
 from firmware_model.analysis.sampled_plant import split_ticks
+from firmware_model.analysis.witnesses import Reading, behind_filters
 from firmware_model.compiled import firmware
 from firmware_model.design.actuator_dynamics import Stage, behind_stages
 from firmware_model.design.vehicle import (
@@ -67,7 +68,10 @@ NO_WORLD: Final[FloatArray] = np.zeros((0, WORLD_ROW))
 
 CAR_STATES: Final = 4  # the first; only their columns depend on the road
 SHARES: Final = 4  # μ_f - 1, μ_r - 1, s - 1 and (μ_f - 1)(s - 1)
-BEHIND_A: Final = 3  # rows behind A: of the reading, the output before the sensor, the acceleration
+BEHIND_A: Final = (
+    3  # rows behind A: of the reading, the output before the sensor, the acceleration;
+)
+# then those of further sensors
 
 
 @dataclass(frozen=True)
@@ -75,11 +79,13 @@ class ChangingPlant:
     """A car in multiples of powers of its regular speed; n states.
 
     Attributes:
-        dry: (4, n + 3, n), by ``POWERS`` for V_r = V and dry roads: A, then the rows of the
-            sensor's reading, of the output before the sensor and of the specific force.
-        road: (4, 4, n + 3, n), likewise A_f, A_r, A_s and A_fs.
+        dry: (4, n + 3 + r, n), by ``POWERS`` for V_r = V and dry roads: A, then the rows of the
+            sensor's reading, of the output before the sensor, of the specific force and of r
+            further sensors.
+        road: (4, 4, n + 3 + r, n), likewise A_f, A_r, A_s and A_fs.
         b: (n, 2).
-        e: (4, n + 3, 4), likewise E and the direct effects of ``WORLD`` on the three rows.
+        e: (4, n + 3 + r, 4), likewise E and the direct effects of ``WORLD`` on the rows.
+        acting: (r, 2), the direct effects of what acts on the inputs.
         tick_s: the tick, seconds.
         dead_ticks: whole ticks of dead time of each input.
         sensor_dead_ticks: whole ticks of the sensor's dead time.
@@ -92,6 +98,7 @@ class ChangingPlant:
     road: FloatArray
     b: FloatArray
     e: FloatArray
+    acting: FloatArray
     tick_s: float
     dead_ticks: tuple[int, int]
     sensor_dead_ticks: int
@@ -139,6 +146,7 @@ def changing_plant(
     stages: tuple[Stage, Stage, Stage],
     fastest_mps: float,
     tick_s: float,
+    readings: Sequence[Reading] = (),
 ) -> ChangingPlant:
     """``car`` behind its actuators and its sensor, at all speeds from 0 on and on every road.
 
@@ -148,18 +156,22 @@ def changing_plant(
         stages: of both actuators and of the sensor.
         fastest_mps: the highest speed of interest.
         tick_s: the tick, seconds.
+        readings: the further sensors.
     """
 
     def at(
         speed: float, friction: tuple[float, float] = (1.0, 1.0), share: float = 1.0
     ) -> tuple[FloatArray, ...]:
-        """A, B, three rows, E and three direct effects, as if V_r were ``speed``."""
+        """A, B, the rows, E, their direct effects and what acts, as if V_r were ``speed``."""
         state_space, world = single_track(car, variant, friction, (speed, share))
         (a, b, c, sensed), behind = behind_stages(state_space, world, stages)
         assert behind is not None
         force = slice(SPECIFIC_FORCE, SPECIFIC_FORCE + 1)
         rows = np.concatenate([c, sensed, behind.rows[force]])
-        return a, b, rows, behind.e, np.concatenate([behind.read, behind.f, behind.direct[force]])
+        (a, b, e), further = behind_filters(a, b, behind, stages, readings)
+        rows = np.hstack([rows, np.zeros((BEHIND_A, len(a) - rows.shape[1]))])
+        direct = [behind.read, behind.f, behind.direct[force], further.direct]
+        return a, b, np.concatenate([rows, further.rows]), e, np.concatenate(direct), further.acting
 
     speeds = [part * max(fastest_mps, LOW_SPEED_MPS) for part in FITTED_AT]
     dry = [at(speed) for speed in speeds]
@@ -173,7 +185,7 @@ def changing_plant(
         )
     ]
     n = len(dry[0][0])
-    road = np.zeros((SHARES, len(POWERS), n + BEHIND_A, n))
+    road = np.zeros((SHARES, len(POWERS), n + BEHIND_A + len(readings), n))
     for kind, changed in enumerate(others):
         both = zip(dry, changed, strict=True)
         difference = [np.concatenate([new[0] - old[0], new[2] - old[2]]) for old, new in both]
@@ -184,13 +196,14 @@ def changing_plant(
     )
     cuts = np.array(sorted({0.0, part_1, part_2, 1.0 - part, 1.0}))
     new = cuts[:-1, None] >= np.array([part_1, part_2])
-    rows = [_multiples(speeds, [each[2][row] for each in dry]) for row in range(BEHIND_A)]
+    rows = [_multiples(speeds, [each[2][row] for each in dry]) for row in range(len(dry[0][2]))]
     return ChangingPlant(
         dry=np.concatenate([_multiples(speeds, [each[0] for each in dry]),
                             np.stack(rows, axis=1)], axis=1),
         road=road,
         b=np.ascontiguousarray(dry[0][1]),
         e=_multiples(speeds, [np.concatenate([each[3], each[4]]) for each in dry]),
+        acting=dry[0][5],
         tick_s=tick_s,
         dead_ticks=(whole_1, whole_2),
         sensor_dead_ticks=whole,
@@ -275,6 +288,29 @@ def specific_force(constants: Any, x: Any, speed_mps: float, world: Any) -> floa
     parts = constants[0]
     force: float = seen(parts, len(x) + 2, conditions(speed_mps, world, 0.0), x, world, 0.0)
     return force
+
+
+@firmware
+def read_changing(
+    constants: Any,
+    x: Any,
+    speed_mps: float,
+    world: Any,
+    acting: Any,
+    acted_1: float,
+    acted_2: float,
+    found: Any,
+) -> None:
+    """The further sensors at the begin of a tick, into ``found`` (r,).
+
+    ``acting`` is the plant's, ``acted_1`` and ``acted_2`` what acted on its inputs just before; for
+    the other arguments see ``follow_changing``.
+    """
+    parts, at = constants[0], conditions(speed_mps, world, 0.0)
+    for each in range(len(found)):
+        row = len(x) + BEHIND_A + each
+        found[each] = acting[each, 0] * acted_1 + acting[each, 1] * acted_2
+        found[each] += seen(parts, row, at, x, world, 0.0)
 
 
 _regular_speed = firmware(regular_speed)

@@ -33,7 +33,8 @@ from firmware_model.design.plants import Plant
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError
-from firmware_model.law.structs import MAX_LATENCY_TICKS, FloatArray, Record
+from firmware_model.law.layout import Table
+from firmware_model.law.structs import MAX_LATENCY_TICKS, FloatArray
 
 EXACT_DELAY_TICKS = 32  # up to here eigenvalues decide, above the crossovers of L do
 PARTS_OF_A_TICK = 8
@@ -158,7 +159,7 @@ class Margins:
 
 
 def margins(
-    table: Record,
+    table: Table,
     plant: Plant,
     tick_s: float,
     effectiveness: tuple[float, float] = HEALTHY,
@@ -220,7 +221,7 @@ def margins_of(
     )
 
 
-def law_in(table: Record, effectiveness: tuple[float, float]) -> LinearController:
+def law_in(table: Table, effectiveness: tuple[float, float]) -> LinearController:
     """The acting law in this state: every loss counts as confirmed.
 
     The confirmed share of channel 1 is the lost share; the whole channel 1 if channel 2 is lost,

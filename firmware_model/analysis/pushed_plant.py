@@ -17,6 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from firmware_model.analysis.sampled_plant import SampledPlant, follow, sample, split_ticks
+from firmware_model.analysis.witnesses import NO_READINGS, Readings
 from firmware_model.compiled import firmware
 from firmware_model.design.plants import Plant
 from firmware_model.law.structs import FloatArray
@@ -48,8 +49,11 @@ class PushedPlant:
         return self.sampled.constants, (self.gamma, self.output, self.reading)
 
 
-def pushed_plant(plant: Plant, tick_s: float) -> PushedPlant:
-    """Discretise a ``plant`` that has a ``world``, for ticks of ``tick_s`` seconds."""
+def pushed_plant(plant: Plant, tick_s: float, readings: Readings = NO_READINGS) -> PushedPlant:
+    """Discretise a ``plant`` that has a ``world``, for ticks of ``tick_s`` seconds.
+
+    ``readings`` are those of further sensors.
+    """
     world = plant.world
     assert world is not None
     _, part = split_ticks(plant.sensor_dead_time_s / tick_s)
@@ -58,7 +62,7 @@ def pushed_plant(plant: Plant, tick_s: float) -> PushedPlant:
     read = _first_order_hold(plant.a, world.e, tick_s, 1.0 - part)
     share = np.array([part, 1.0 - part])[:, None]
     return PushedPlant(
-        sample(plant, tick_s),
+        sample(plant, tick_s, readings),
         gamma,
         sensed[0] @ gamma + np.array([0.0, 1.0])[:, None] * world.f,
         plant.c[0] @ read + share * world.read,

@@ -37,9 +37,9 @@ from firmware_model.design.plants import Plant
 from firmware_model.discretisation.sections import ComplexArray
 from firmware_model.errors import ParameterError
 from firmware_model.law import controller
-from firmware_model.law.layout import table_type
+from firmware_model.law.layout import Table, table_type
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import FloatArray, Record, RecordArray
+from firmware_model.law.structs import FloatArray, RecordArray
 
 
 def lumps(a: FloatArray, b: FloatArray) -> NDArray[np.int_]:
@@ -195,7 +195,7 @@ class SampledLoop:
         return np.unique(angles[(angles >= lowest) & (angles <= math.pi)])
 
 
-def linear_controller(table: Record, confirmed: float = 0.0) -> LinearController:
+def linear_controller(table: Table, confirmed: float = 0.0) -> LinearController:
     """The matrices of ``controller.step`` for ``table``, in float64 for any table precision.
 
     ``confirmed`` is the confirmed lost share of channel 1; 0: no loss. The share changes the law
@@ -301,7 +301,7 @@ def field_of(states: RecordArray, path: tuple[str, ...]) -> RecordArray:
     return states
 
 
-def memories_of(table: Record) -> list[Memory]:
+def memories_of(table: Table) -> list[Memory]:
     """All memories from tick to tick, except accumulators that stay zero for ever.
 
     No signal excites the second accumulator of a first-order section or the accumulators of a gain;
@@ -332,7 +332,7 @@ def memories_of(table: Record) -> list[Memory]:
     return memories
 
 
-def without_limits(table: Record, n: int) -> RecordArray:
+def without_limits(table: Table, n: int) -> RecordArray:
     """``n`` linear copies of ``table`` in float64."""
     tables = np.zeros(n, table_type())
     tables[:] = np.array(table)

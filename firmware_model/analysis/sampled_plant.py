@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
+from firmware_model.analysis.witnesses import NO_READINGS, Readings
 from firmware_model.compiled import compiled, firmware
 from firmware_model.design.plants import Plant
 from firmware_model.errors import ParameterError
@@ -41,6 +42,7 @@ class SampledPlant:
             m) and u(k - m - 1); zero for a dead time of whole ticks: then the sensor reads ``c`` at
             the end.
         sensor_dead_ticks: the whole ticks of the sensor's dead time.
+        readings: of further sensors.
     """
 
     phi: FloatArray
@@ -52,6 +54,7 @@ class SampledPlant:
     dead_ticks: tuple[int, int]
     looks_back: FloatArray
     sensor_dead_ticks: int
+    readings: Readings = NO_READINGS
 
     @property
     def rest(self) -> FloatArray:
@@ -76,8 +79,10 @@ class SampledPlant:
         return self.rest, self.rest, np.zeros((length, 2)), np.zeros(self.sensor_dead_ticks + 1)
 
 
-def sample(plant: Plant, tick_s: float) -> SampledPlant:
+def sample(plant: Plant, tick_s: float, readings: Readings = NO_READINGS) -> SampledPlant:
     """Discretise ``plant`` exactly for commands held over ``tick_s`` seconds.
+
+    ``readings`` are those of further sensors.
 
     Raises:
         ParameterError: a tick that is not a finite time above zero.
@@ -98,7 +103,7 @@ def sample(plant: Plant, tick_s: float) -> SampledPlant:
     for array in (phi, gamma, gamma_old, c, sensed, looks_back):
         array.flags.writeable = False
     return SampledPlant(
-        phi, gamma, c, tick_s, gamma_old, sensed, (whole_1, whole_2), looks_back, whole
+        phi, gamma, c, tick_s, gamma_old, sensed, (whole_1, whole_2), looks_back, whole, readings
     )
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +34,10 @@ from firmware_model.analysis.loop import (
 )
 from firmware_model.analysis.sampled_plant import SampledPlant, follow
 from firmware_model.law import controller as law
-from firmware_model.law.layout import precision_of, table_type
-from firmware_model.law.schedule import STATE, change_first_speed
-from firmware_model.law.structs import FloatArray, Record, RecordArray, record_type
+from firmware_model.law.layout import Table, precision_of, table_type
+from firmware_model.law.schedule import Constants, change_first_speed
+from firmware_model.law.schedule import State as BlendState
+from firmware_model.law.structs import FloatArray, RecordArray, record_type
 
 BoolArray = NDArray[np.bool_]
 
@@ -145,7 +146,7 @@ class Simulation:
 
     def __init__(
         self,
-        controller: Record | AnyController,
+        controller: Table | AnyController,
         plant: SampledPlant | AnyPlant,
         reference: FloatArray,
         *,
@@ -157,7 +158,7 @@ class Simulation:
         hold_ticks: int = 0,
         limits: FloatArray = hardware.NO_LIMITS,
         faults: FloatArray = hardware.NO_FAULTS,
-        schedule: Record | None = None,
+        schedule: Constants | None = None,
         speed: FloatArray | None = None,
         resolution: float = 0.0,
         frames: FloatArray = hardware.EXACT_FRAMES,
@@ -178,10 +179,9 @@ class Simulation:
         self._plant = plant
         self._signals = np.full((ROWS, ticks), np.nan)
         self._states = np.zeros((3, ticks), dtype=np.int64)
-        self._other: AnyController | None = None
-        if hasattr(controller, "answer"):
-            self._other, controller = controller, np.zeros((), table_type())[()]
-        table: Record = controller
+        ours = isinstance(controller, np.generic)  # a record, which is a scalar of numpy
+        self._other: AnyController | None = None if ours else cast("AnyController", controller)
+        table = cast("Table", controller if ours else np.zeros((), table_type())[()])
         state = law.init(table) if at_rest is None else at_rest
         self._table, self._at_rest = table, state
         self._restarts = tuple(restarts)
@@ -197,7 +197,7 @@ class Simulation:
         changes = schedule is not None or self._other is not None
         self._speed = speed.tolist() if changes and speed is not None else None
         if schedule is not None:
-            blending = np.zeros(1, record_type(STATE, precision_of(table)))
+            blending = np.zeros(1, record_type(BlendState, precision_of(table)))
             self._speeds = (np.array([schedule], schedule.dtype), blending, *self._loop[:2])
         self._output = (0.0, 0.0)  # output of the plant at rest, and the sensor's reading
         self._memory: Any = ()
@@ -342,7 +342,7 @@ class Simulation:
 
 
 def simulate(
-    controller: Record | AnyController,
+    controller: Table | AnyController,
     plant: SampledPlant | AnyPlant,
     reference: FloatArray,
     **inputs: Any,

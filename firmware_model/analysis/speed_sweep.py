@@ -32,9 +32,9 @@ from firmware_model.analysis.sampled_loop import (
 from firmware_model.design.plants import Plant
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law import controller
-from firmware_model.law.layout import precision_of
-from firmware_model.law.schedule import STATE, change_first_speed
-from firmware_model.law.structs import FloatArray, Record, record_type
+from firmware_model.law.layout import Table, precision_of
+from firmware_model.law.schedule import State, change_first_speed
+from firmware_model.law.structs import FloatArray, record_type
 
 BETWEEN = 4  # speeds of the grid for each interval between two designs
 
@@ -99,7 +99,7 @@ def sweep(
     return SpeedSweep(len(speeds), radii[worst], float(speeds[worst]), cycles[between], (low, high))
 
 
-def table_at(of: Scheduled, speed: float) -> Record:
+def table_at(of: Scheduled, speed: float) -> Table:
     """The table of ``of`` at ``speed``."""
     return _moved(of, np.zeros(0), speed, speed)[0]
 
@@ -148,12 +148,12 @@ def _turn(of: Scheduled, before: float, after: float, size: int) -> FloatArray:
 
 def _moved(
     of: Scheduled, memories: FloatArray, before: float, after: float
-) -> tuple[Record, FloatArray]:
+) -> tuple[Table, FloatArray]:
     """The table at the speed ``after``, and ``memories`` carried from ``before`` to ``after``."""
     assert of.schedule is not None
     precision = precision_of(of.table)
     schedules = np.array([of.schedule], of.schedule.dtype)
-    tables, owns = np.array([of.table], of.table.dtype), np.zeros(1, record_type(STATE, precision))
+    tables, owns = np.array([of.table], of.table.dtype), np.zeros(1, record_type(State, precision))
     states = controller.init(tables[0])
     change_first_speed(schedules, owns, tables, states, before)
     places = memories_of(of.table) if len(memories) else []

@@ -89,6 +89,13 @@ class VehicleParameters:
 TABLE_3_2 = VehicleParameters()
 
 
+def dstar(
+    lateral_weight: float, lateral_mps2: Matrix, yaw_rate: Matrix, speed_mps: Matrix
+) -> Matrix:
+    """D* [m/s²] of (3.8) from sensors: d a + (1 - d) V γ, with γ in rad/s; any common shape."""
+    return lateral_weight * lateral_mps2 + (1.0 - lateral_weight) * speed_mps * yaw_rate
+
+
 @dataclass(frozen=True, eq=False)
 class WorldInputs:
     """How the world acts on a plant, and what further sensors read: n states, m inputs, r sensors.

@@ -31,14 +31,7 @@ from firmware_model.discretisation.systems import (
 from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import ParameterError
 from firmware_model.law.filters import biquad
-from firmware_model.law.structs import (
-    MAX_SECTIONS,
-    FloatArray,
-    Precision,
-    Record,
-    RecordArray,
-    record_type,
-)
+from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Precision, RecordArray, record_type
 
 KEYWORDS: Final = """
     auto break case char const continue default do double else enum extern float for goto if inline
@@ -217,7 +210,7 @@ class Filter:
         given: the filter in z as its coefficients were given, in factors; empty of ``discretise``.
         prewarp_rad_per_s: the frequency at which Tustin kept the response, or None.
         precision: of coefficients, state and arithmetic.
-        cascade: the same constants as the record of ``biquad.CONSTANTS`` that runs. Read-only.
+        cascade: the same constants as the record of ``biquad.Constants`` that runs. Read-only.
     """
 
     def __init__(
@@ -237,12 +230,14 @@ class Filter:
         self.rule = rule
         self.prewarp_rad_per_s = prewarp_rad_per_s
         self.precision = precision
-        self._cascades = np.zeros(1, record_type(biquad.CONSTANTS, precision))
+        self._cascades = np.zeros(1, record_type(biquad.Constants, precision))
         self._cascades["n"] = len(stored)
         self._cascades["coefficients"][0, : len(stored)] = stored
         self._cascades.flags.writeable = False
-        self.cascade: Record = self._cascades[0]  # a record taken earlier could still be written
-        self._states = np.zeros(1, record_type(biquad.STATE, precision))
+        self.cascade: biquad.Constants = self._cascades[
+            0
+        ]  # a record taken earlier could still be written
+        self._states = np.zeros(1, record_type(biquad.State, precision))
 
     def in_precision(self, precision: Precision) -> Filter:
         """The same filter at rest, stored and computed in ``precision``.

@@ -169,10 +169,10 @@ def _sums(coefficients: FloatArray, ticks: int, impulse_at: int | None) -> Float
     """
     if not len(coefficients):
         return np.array([1.0, 0.0, 0.0])
-    cascades = np.zeros(1, record_type(biquad.CONSTANTS, "float64"))
+    cascades = np.zeros(1, record_type(biquad.Constants, "float64"))
     cascades[0].n = len(coefficients)
     cascades[0].coefficients[: len(coefficients)] = coefficients
-    states = np.zeros(1, record_type(biquad.STATE, "float64"))
+    states = np.zeros(1, record_type(biquad.State, "float64"))
     if impulse_at is not None:
         states[0].accumulators[0, impulse_at] = 1.0
     sums = np.zeros(3)

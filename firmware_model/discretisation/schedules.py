@@ -21,8 +21,9 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import DELTA_ROOTS, bilinear
 from firmware_model.errors import DesignError, ParameterError, UnstablePlantError
-from firmware_model.law.schedule import CONSTANTS, MAX_SPEEDS
-from firmware_model.law.structs import Record, record_type
+from firmware_model.law.layout import Table
+from firmware_model.law.schedule import MAX_SPEEDS, Constants
+from firmware_model.law.structs import record_type
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ class AtSpeed:
 class Scheduled:
     """The table of the first speed and the schedule; no schedule for a constant speed."""
 
-    schedule: Record | None
-    table: Record
+    schedule: Constants | None
+    table: Table
 
 
 def schedule(designs: Sequence[AtSpeed]) -> Scheduled:
@@ -67,7 +68,7 @@ def schedule(designs: Sequence[AtSpeed]) -> Scheduled:
                     "be stable at every speed"
                 )
     tables = [build(each.design, each.target) for each in designs]
-    made = np.zeros(1, record_type(CONSTANTS, designs[0].target.precision))[0]
+    made = np.zeros(1, record_type(Constants, designs[0].target.precision))[0]
     made.n = len(designs)
     made.speed[: made.n] = [each.speed_mps for each in designs]
     filters = _filters(designs)
@@ -119,7 +120,7 @@ def _filters(designs: Sequence[AtSpeed]) -> dict[str, list[Sections]]:
 
 
 def _turn_states(
-    made: Record, designs: Sequence[AtSpeed], filters: dict[str, list[Sections]]
+    made: Constants, designs: Sequence[AtSpeed], filters: dict[str, list[Sections]]
 ) -> None:
     rule = designs[0].target.estimator
     for car in range(len(designs[0].others) + 1):  # the model, then the others
@@ -131,7 +132,7 @@ def _turn_states(
                 made[f"{prefix}turn_{channel + 1}"][k] = turn(before, after, channel, rule).ravel()
 
 
-def _first(table: Record, filters: dict[str, list[Sections]]) -> Record:
+def _first(table: Table, filters: dict[str, list[Sections]]) -> Table:
     """``table`` with its coefficients in the sections of the schedule."""
     tables = np.array([table], table.dtype)
     own = tables[0]
@@ -154,4 +155,5 @@ def _first(table: Record, filters: dict[str, list[Sections]]) -> Record:
         gain = make_up_gain(filters[f"channel_{channel}"][0])
         own[f"shortfall_{channel}"].gain[: len(gain)] = gain
     tables.flags.writeable = False
-    return tables[0]
+    made: Table = tables[0]
+    return made

@@ -20,8 +20,12 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
-from firmware_model.law.layout import table_type
-from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision, Record
+from firmware_model.law.fault_decision.hypotheses.frozen import Constants as FrozenConstants
+from firmware_model.law.fault_decision.probe import Constants as ProbeConstants
+from firmware_model.law.filters import biquad
+from firmware_model.law.filters.estimator import Constants as EstimatorConstants
+from firmware_model.law.layout import Table, table_type
+from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision
 
 AHEAD = 2.0  # least ratio of a found fault's evidence to faults at other places
 SENSOR_AHEAD = 3.0  # the ratio for a sensor fault, where an error costs a compensation
@@ -30,7 +34,7 @@ MOTION = 3.0  # deviations of the noise for a moved car
 LEAST_CHANCE = 1e-6  # chance of a repeated number: no sensor is finer
 
 
-def fill_hypotheses(table: Record, target: Target) -> None:
+def fill_hypotheses(table: Table, target: Target) -> None:
     """Fill in the constants; the decision and the test have their constants already."""
     constants, signatures = table.hypotheses, table.hypotheses.signatures
     constants.ahead = AHEAD
@@ -52,7 +56,7 @@ def fill_hypotheses(table: Record, target: Target) -> None:
     fill_frozen(constants.frozen, target)
 
 
-def fill_frozen(frozen: Record, target: Target) -> None:
+def fill_frozen(frozen: FrozenConstants, target: Target) -> None:
     """Numbers that repeat anyway (a perfect sensor on a car at rest) are no evidence."""
     frozen.repetition = repetition(target)
     frozen.least_motion = math.inf
@@ -181,7 +185,7 @@ def discretise(design: ContinuousDesign, target: Target) -> Filters:
     return filters
 
 
-def build(design: ContinuousDesign, target: Target) -> Record:
+def build(design: ContinuousDesign, target: Target) -> Table:
     """The table of ``design`` on ``target``: a read-only record of ``layout.table_type``.
 
     Raises:
@@ -213,7 +217,8 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     if target.probe > 0.0:
         _fill_probe(table.probe, target)
     tables.flags.writeable = False
-    return tables[0]
+    made: Table = tables[0]
+    return made
 
 
 def _factors(design: ContinuousDesign, target: Target) -> SampledFactors:
@@ -223,13 +228,13 @@ def _factors(design: ContinuousDesign, target: Target) -> SampledFactors:
     return sampled_factors(channels, slowest, target.estimator, target.tick_s)
 
 
-def _fill_filter(cascade: Record, sections: Sections) -> None:
+def _fill_filter(cascade: biquad.Constants, sections: Sections) -> None:
     cascade.n = len(sections.coefficients)
     cascade.coefficients[: cascade.n] = sections.coefficients
 
 
 def _fill_loop(
-    table: Record,
+    table: Table,
     design: ContinuousDesign,
     target: Target,
     filters: Filters,
@@ -262,7 +267,7 @@ def _on_grid(limit: float, lsb: float) -> float:
 
 
 def _fill_estimator(
-    estimator: Record, target: Target, filters: Filters, dead: tuple[int, int]
+    estimator: EstimatorConstants, target: Target, filters: Filters, dead: tuple[int, int]
 ) -> None:
     """F1 with its delays, 1 + Q."""
     _fill_filter(estimator.channel_1, filters.estimator_1)
@@ -280,7 +285,7 @@ def _fill_estimator(
 
 
 def _fill_compensator(
-    table: Record, design: ContinuousDesign, target: Target, filters: Filters, loop_gain: float
+    table: Table, design: ContinuousDesign, target: Target, filters: Filters, loop_gain: float
 ) -> None:
     """F̂ and what it gets."""
     compensator = table.compensator
@@ -293,7 +298,7 @@ def _fill_compensator(
     table.bumpless_transfer.haste = HASTE
 
 
-def _fill_decision(table: Record, target: Target) -> None:
+def _fill_decision(table: Table, target: Target) -> None:
     """Thresholds for a loss in d̂ and for the return."""
     decision, test = table.decision, table.sequential_test
     decision.confirm = max(target.evidence(target.false_alarms_per_hour), LEAST_EVIDENCE)
@@ -316,7 +321,7 @@ def _fill_decision(table: Record, target: Target) -> None:
     test.deviations = DEVIATIONS if target.mismatch.cars else NEVER
 
 
-def _fill_mismatch(table: Record, design: ContinuousDesign, target: Target) -> None:
+def _fill_mismatch(table: Table, design: ContinuousDesign, target: Target) -> None:
     """Effect of other cars and noise on d̂."""
     constants, other, cars = table.mismatch, table.other_cars, target.mismatch.cars
     if len(cars) > MAX_DIRECTIONS:
@@ -357,14 +362,14 @@ def _fill_mismatch(table: Record, design: ContinuousDesign, target: Target) -> N
     constants.colour = a
 
 
-def _fill_probe(probe: Record, target: Target) -> None:
+def _fill_probe(probe: ProbeConstants, target: Target) -> None:
     """Whole ticks for two periods, so the frequency moves a little."""
     ticks = round(PROBE_PERIODS * 2.0 * math.pi / (target.probe_rad_per_s * target.tick_s))
     half = np.exp(2j * math.pi / ticks)  # once around in a probe: two periods of the whole phase
     probe.ticks = ticks
     probe.amplitude = 0.5 * target.probe
     probe.least_share = PROBE_SHARE
-    probe.rotation = half.real, half.imag
+    probe.rotation[:] = half.real, half.imag
 
 
 def _memory(target: Target, time_constant_s: float) -> float:

@@ -7,30 +7,42 @@ mean of the commands is exact and no error settles below the resolution.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import Struct
 
-CONSTANTS = (
-    Field("limit", "command", "largest magnitude of a command"),
-    Field("slew", "command/tick", "largest change of a command in a tick"),
-    Field("lsb", "command", "resolution of the command's frame; 0: none"),
-)
-STATE = (Field("rounded_off", "command", "rounding error carried to the next command"),)
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
+
+class Constants(Struct):
+    """Constants."""
+
+    limit: Annotated[float, "command", "largest magnitude of a command"]
+    slew: Annotated[float, "command/tick", "largest change of a command in a tick"]
+    lsb: Annotated[float, "command", "resolution of the command's frame; 0: none"]
+
+
+class State(Struct):
+    """State."""
+
+    rounded_off: Annotated[float, "command", "rounding error carried to the next command"]
 
 
 @firmware
-def saturate(actuator: Record, command: float) -> float:
+def saturate(actuator: Constants, command: float) -> float:
     """``command`` within the actuator's magnitude."""
     saturated: float = min(max(command, -actuator.limit), actuator.limit)
     return saturated
 
 
 @firmware
-def saturate_rate(actuator: Record, command: float, previous: float) -> float:
+def saturate_rate(actuator: Constants, command: float, previous: float) -> float:
     """``command`` within the actuator's magnitude, and within its slew of the ``previous`` one."""
     low = max(-actuator.limit, previous - actuator.slew)
     high = min(actuator.limit, previous + actuator.slew)
@@ -39,7 +51,7 @@ def saturate_rate(actuator: Record, command: float, previous: float) -> float:
 
 
 @firmware
-def quantise(actuator: Record, state: Record, command: float) -> float:
+def quantise(actuator: Constants, state: State, command: float) -> float:
     """Round ``command`` plus the last rounding error to the grid of the frame."""
     if not actuator.lsb > 0.0:
         return command
@@ -51,7 +63,7 @@ def quantise(actuator: Record, state: Record, command: float) -> float:
 
 
 @firmware
-def command_possible(table: Record, state: Record, wanted_1: float, wanted_2: float) -> None:
+def command_possible(table: Table, state: layout.State, wanted_1: float, wanted_2: float) -> None:
     """Limit both wanted commands to the range of the actuators."""
     possible = saturate_rate(table.actuator_1, wanted_1, state.command_1)
     state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)

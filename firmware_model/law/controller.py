@@ -28,7 +28,7 @@ decision) wait.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -88,13 +88,17 @@ from firmware_model.law.overflow import clear_memories
 from firmware_model.law.precision import real
 from firmware_model.law.reference_shaper import start, tracked_reference
 from firmware_model.law.status import Mode
-from firmware_model.law.structs import Record, RecordArray
+from firmware_model.law.structs import RecordArray
+
+if TYPE_CHECKING:
+    from firmware_model.law.layout import State, Table
+
 
 MODE_INIT, MODE_RUN, MODE_HOLD = int(Mode.INIT), int(Mode.RUN), int(Mode.HOLD)
 MODE_SAFE_STOP = int(Mode.SAFE_STOP)
 
 
-def init(table: Record, n: int = 1) -> RecordArray:
+def init(table: Table, n: int = 1) -> RecordArray:
     """``n`` states at rest for ``table``, in its precision: every memory zero, mode INIT."""
     states: RecordArray = np.zeros(n, state_type(precision_of(table)))
     for state in states:
@@ -103,13 +107,13 @@ def init(table: Record, n: int = 1) -> RecordArray:
 
 
 @firmware
-def start_up(table: Record, state: Record) -> None:
+def start_up(table: Table, state: State) -> None:
     """Turn a state of zeros into a state at rest."""
     clear_mismatch(table.mismatch, state.mismatch)
 
 
 @firmware
-def step(table: Record, state: Record, reference: float, measurement: float) -> None:
+def step(table: Table, state: State, reference: float, measurement: float) -> None:
     """One tick: from the reference and D* of this tick to the commands of this tick.
 
     The answers are ``state.command_1``, ``state.command_2``, ``state.fault_estimate``,
@@ -137,7 +141,7 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
 
 
 @firmware
-def compute(table: Record, state: Record, r: float, y: float) -> None:
+def compute(table: Table, state: State, r: float, y: float) -> None:
     """A tick with a reference ``r`` and a measurement ``y`` to be used."""
     note_commands(state, y)
     state.reference, state.measurement = r, y
@@ -199,7 +203,7 @@ def compute(table: Record, state: Record, r: float, y: float) -> None:
 
 
 @firmware
-def hold(table: Record, state: Record) -> None:
+def hold(table: Table, state: State) -> None:
     """A tick without inputs: the last commands are held, and the models follow them."""
     state.mode = MODE_HOLD
     model_1, model_2 = model_output(
@@ -220,7 +224,7 @@ def hold(table: Record, state: Record) -> None:
 
 
 @firmware
-def advance_models(table: Record, state: Record, short_1: float, short_2: float) -> None:
+def advance_models(table: Table, state: State, short_1: float, short_2: float) -> None:
     """Advance every model of the plant by the commands of this tick.
 
     ``short_1`` and ``short_2`` are asked minus possible commands of the channels.
@@ -235,7 +239,7 @@ def advance_models(table: Record, state: Record, short_1: float, short_2: float)
 
 
 @firmware
-def reset(table: Record, state: Record, reference: float) -> None:
+def reset(table: Table, state: State, reference: float) -> None:
     """Put the controller into the steady state of a healthy loop at a constant ``reference``.
 
     The next ``step`` with the same reference and the settled measurement repeats the commands: no

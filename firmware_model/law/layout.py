@@ -6,74 +6,135 @@ state holds all changing values.
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
-from firmware_model.law import actuator, reference_shaper, status
+from firmware_model.law import actuator, status
 from firmware_model.law.fault_decision import (
-    bumpless_transfer,
-    decision,
     likelihood_ratio,
-    loss_model,
-    mismatch,
-    other_cars,
-    probe,
-    safe_stop,
+)
+from firmware_model.law.fault_decision.bumpless_transfer import (
+    Constants as BumplessTransferConstants,
+)
+from firmware_model.law.fault_decision.bumpless_transfer import (
+    State as BumplessTransferState,
+)
+from firmware_model.law.fault_decision.decision import (
+    Constants as DecisionConstants,
+)
+from firmware_model.law.fault_decision.decision import (
+    State as DecisionState,
 )
 from firmware_model.law.fault_decision.hypotheses import verdict
-from firmware_model.law.filters import compensator, estimator, shortfall, tracking
-from firmware_model.law.structs import Field, Precision, Record, record_type
-
-TABLE = (
-    Field("reference_shaper", "1", "limits r̈", reference_shaper.CONSTANTS),
-    Field("tracking", "1", "C", tracking.CONSTANTS),
-    Field("estimator", "1", "F1 and 1 + Q", estimator.CONSTANTS),
-    Field("compensator", "1", "F̂", compensator.CONSTANTS),
-    Field("actuator_1", "1", "what channel 1 can follow", actuator.CONSTANTS),
-    Field("actuator_2", "1", "what channel 2 can follow", actuator.CONSTANTS),
-    Field("shortfall_1", "1", "make-up of channel 1", shortfall.CONSTANTS),
-    Field("shortfall_2", "1", "make-up of channel 2", shortfall.CONSTANTS),
-    Field("other_cars", "1", "what they show", other_cars.CONSTANTS),
-    Field("mismatch", "1", "how this car differs", mismatch.CONSTANTS),
-    Field("sequential_test", "1", "for a loss or its end", likelihood_ratio.CONSTANTS),
-    Field("loss_model", "1", "what is lost", loss_model.CONSTANTS),
-    Field("decision", "1", "on the fault state", decision.CONSTANTS),
-    Field("bumpless_transfer", "1", "of F̂ to s w", bumpless_transfer.CONSTANTS),
-    Field("probe", "1", "of the torque", probe.CONSTANTS),
-    Field("hypotheses", "1", "hypotheses of the fault's place", verdict.CONSTANTS),
-    Field("safe_stop", "1", "where both actuators are lost", safe_stop.CONSTANTS),
-)  # fmt: skip
-STATE = (
-    *status.STATE,
-    Field("reference_shaper", "1", "reference of C", reference_shaper.STATE),
-    Field("tracking", "1", "C", tracking.STATE),
-    Field("estimator", "1", "F1 and 1 + Q", estimator.STATE),
-    Field("compensator", "1", "F̂", compensator.STATE),
-    Field("actuator_1", "1", "rounding of command 1", actuator.STATE),
-    Field("actuator_2", "1", "rounding of command 2", actuator.STATE),
-    Field("shortfall_1", "1", "what channel 1 could not do", shortfall.STATE),
-    Field("shortfall_2", "1", "what channel 2 could not do", shortfall.STATE),
-    Field("other_cars", "1", "what they show", other_cars.STATE),
-    Field("mismatch", "1", "how this car differs", mismatch.STATE),
-    Field("sequential_test", "1", "for a loss or its end", likelihood_ratio.STATE),
-    Field("loss_model", "1", "what is lost", loss_model.STATE),
-    Field("decision", "1", "on the fault state", decision.STATE),
-    Field("bumpless_transfer", "1", "of F̂ to s w", bumpless_transfer.STATE),
-    Field("probe", "1", "of the torque", probe.STATE),
-    Field("hypotheses", "1", "hypotheses of the fault's place", verdict.STATE),
-    Field("safe_stop", "1", "where both actuators are lost", safe_stop.STATE),
+from firmware_model.law.fault_decision.loss_model import (
+    Constants as LossModelConstants,
 )
+from firmware_model.law.fault_decision.loss_model import (
+    State as LossModelState,
+)
+from firmware_model.law.fault_decision.mismatch import (
+    Constants as MismatchConstants,
+)
+from firmware_model.law.fault_decision.mismatch import (
+    State as MismatchState,
+)
+from firmware_model.law.fault_decision.other_cars import (
+    Constants as OtherCarsConstants,
+)
+from firmware_model.law.fault_decision.other_cars import (
+    State as OtherCarsState,
+)
+from firmware_model.law.fault_decision.probe import Constants as ProbeConstants
+from firmware_model.law.fault_decision.probe import State as ProbeState
+from firmware_model.law.fault_decision.safe_stop import (
+    Constants as SafeStopConstants,
+)
+from firmware_model.law.fault_decision.safe_stop import (
+    State as SafeStopState,
+)
+from firmware_model.law.filters import shortfall
+from firmware_model.law.filters.compensator import (
+    Constants as CompensatorConstants,
+)
+from firmware_model.law.filters.compensator import (
+    State as CompensatorState,
+)
+from firmware_model.law.filters.estimator import (
+    Constants as EstimatorConstants,
+)
+from firmware_model.law.filters.estimator import (
+    State as EstimatorState,
+)
+from firmware_model.law.filters.tracking import (
+    Constants as TrackingConstants,
+)
+from firmware_model.law.filters.tracking import (
+    State as TrackingState,
+)
+from firmware_model.law.reference_shaper import (
+    Constants as ReferenceShaperConstants,
+)
+from firmware_model.law.reference_shaper import (
+    State as ReferenceShaperState,
+)
+from firmware_model.law.structs import Precision, Struct, record_type
+
+
+class Table(Struct):
+    """The constant table."""
+
+    reference_shaper: Annotated[ReferenceShaperConstants, "1", "limits r̈"]
+    tracking: Annotated[TrackingConstants, "1", "C"]
+    estimator: Annotated[EstimatorConstants, "1", "F1 and 1 + Q"]
+    compensator: Annotated[CompensatorConstants, "1", "F̂"]
+    actuator_1: Annotated[actuator.Constants, "1", "what channel 1 can follow"]
+    actuator_2: Annotated[actuator.Constants, "1", "what channel 2 can follow"]
+    shortfall_1: Annotated[shortfall.Constants, "1", "make-up of channel 1"]
+    shortfall_2: Annotated[shortfall.Constants, "1", "make-up of channel 2"]
+    other_cars: Annotated[OtherCarsConstants, "1", "what they show"]
+    mismatch: Annotated[MismatchConstants, "1", "how this car differs"]
+    sequential_test: Annotated[likelihood_ratio.Constants, "1", "for a loss or its end"]
+    loss_model: Annotated[LossModelConstants, "1", "what is lost"]
+    decision: Annotated[DecisionConstants, "1", "on the fault state"]
+    bumpless_transfer: Annotated[BumplessTransferConstants, "1", "of F̂ to s w"]
+    probe: Annotated[ProbeConstants, "1", "of the torque"]
+    hypotheses: Annotated[verdict.Constants, "1", "hypotheses of the fault's place"]
+    safe_stop: Annotated[SafeStopConstants, "1", "where both actuators are lost"]
+
+
+class State(status.State):
+    """State."""
+
+    reference_shaper: Annotated[ReferenceShaperState, "1", "reference of C"]
+    tracking: Annotated[TrackingState, "1", "C"]
+    estimator: Annotated[EstimatorState, "1", "F1 and 1 + Q"]
+    compensator: Annotated[CompensatorState, "1", "F̂"]
+    actuator_1: Annotated[actuator.State, "1", "rounding of command 1"]
+    actuator_2: Annotated[actuator.State, "1", "rounding of command 2"]
+    shortfall_1: Annotated[shortfall.State, "1", "what channel 1 could not do"]
+    shortfall_2: Annotated[shortfall.State, "1", "what channel 2 could not do"]
+    other_cars: Annotated[OtherCarsState, "1", "what they show"]
+    mismatch: Annotated[MismatchState, "1", "how this car differs"]
+    sequential_test: Annotated[likelihood_ratio.State, "1", "for a loss or its end"]
+    loss_model: Annotated[LossModelState, "1", "what is lost"]
+    decision: Annotated[DecisionState, "1", "on the fault state"]
+    bumpless_transfer: Annotated[BumplessTransferState, "1", "of F̂ to s w"]
+    probe: Annotated[ProbeState, "1", "of the torque"]
+    hypotheses: Annotated[verdict.State, "1", "hypotheses of the fault's place"]
+    safe_stop: Annotated[SafeStopState, "1", "where both actuators are lost"]
 
 
 def table_type(precision: Precision = "float64") -> np.dtype[np.void]:
     """Layout of the constant table."""
-    return record_type(TABLE, precision)
+    return record_type(Table, precision)
 
 
 def state_type(precision: Precision = "float64") -> np.dtype[np.void]:
     """Layout of the state."""
-    return record_type(STATE, precision)
+    return record_type(State, precision)
 
 
-def precision_of(table: Record) -> Precision:
+def precision_of(table: Table) -> Precision:
     """The precision of every real number of ``table``."""
     return "float32" if table.dtype == table_type("float32") else "float64"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.bumpless_transfer import release
@@ -18,11 +19,13 @@ from firmware_model.law.filters.shortfall import make_up
 from firmware_model.law.filters.tracking import missing_output
 from firmware_model.law.precision import real
 from firmware_model.law.reference_shaper import start
-from firmware_model.law.structs import Record
+
+if TYPE_CHECKING:
+    from firmware_model.law.layout import State, Table
 
 
 @firmware
-def clear_memories(table: Record, state: Record) -> None:
+def clear_memories(table: Table, state: State) -> None:
     """Restart the memories fed by the measurement; keep finite memories of the commands.
 
     A known loss stays known.
@@ -43,7 +46,7 @@ def clear_memories(table: Record, state: Record) -> None:
 
 
 @firmware
-def sum_of_models(table: Record, state: Record) -> float:
+def sum_of_models(table: Table, state: State) -> float:
     """Sum of all memories of the commands: not finite if one memory is lost."""
     zero = real(0.0, state.command_1)
     model_1, model_2 = model_output(table.estimator, state.estimator, zero, zero)
@@ -60,7 +63,7 @@ def sum_of_models(table: Record, state: Record) -> float:
 
 
 @firmware
-def clear_models(state: Record) -> None:
+def clear_models(state: State) -> None:
     """Forget the plant: plant at rest, no loss."""
     start(state.reference_shaper, real(0.0, state.command_1))
     state.shortfall_1.accumulators[:] = 0.0

@@ -15,25 +15,38 @@ is outside the loop, so no margin changes.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
 import numpy as np
 
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import Struct
 
-CONSTANTS = (
-    Field("enabled", "1", "1: C follows the shaped reference; 0: the reference itself", "int32"),
-    Field("acceleration", "y/tick²", "largest second difference of the shaped reference, R T²"),
-)
-STATE = (
-    Field("previous_reference", "y", "r of the last tick"),
-    Field("shaped", "y", "r_s"),
-    Field("speed", "y/tick", "change of r_s in the last tick"),
-)
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
+
+class Constants(Struct):
+    """Constants."""
+
+    enabled: Annotated[int, "1", "1: C follows the shaped reference; 0: the reference itself"]
+    acceleration: Annotated[
+        float, "y/tick²", "largest second difference of the shaped reference, R T²"
+    ]
+
+
+class State(Struct):
+    """State."""
+
+    previous_reference: Annotated[float, "y", "r of the last tick"]
+    shaped: Annotated[float, "y", "r_s"]
+    speed: Annotated[float, "y/tick", "change of r_s in the last tick"]
 
 
 @firmware
-def tracked_reference(table: Record, state: Record) -> float:
+def tracked_reference(table: Table, state: layout.State) -> float:
     """What C tracks: the reference, shaped where the table says so."""
     r: float = state.reference
     if table.reference_shaper.enabled:
@@ -42,7 +55,7 @@ def tracked_reference(table: Record, state: Record) -> float:
 
 
 @firmware
-def shape_reference(constants: Record, state: Record, reference: float) -> float:
+def shape_reference(constants: Constants, state: State, reference: float) -> float:
     """Return r_s of this tick: ``reference`` itself if within reach."""
     largest = constants.acceleration
     moved = reference - state.previous_reference
@@ -76,7 +89,7 @@ def braking_speed(distance: float) -> float:
 
 
 @firmware
-def start(state: Record, reference: float) -> None:
+def start(state: State, reference: float) -> None:
     """Let r_s rest at ``reference``."""
     state.previous_reference = reference
     state.shaped = reference

@@ -21,11 +21,17 @@ tick with a new speed.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
-from firmware_model.law.structs import MAX_SECTIONS, Field, Record, RecordArray
+from firmware_model.law.structs import MAX_SECTIONS, FloatArray, RecordArray, Struct
+
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.filters import biquad, shortfall
+    from firmware_model.law.layout import Table
+
 
 MAX_SPEEDS = 16
 CARRIED = 4  # sections of a model whose state turns: actuator, car and sensor of order 8
@@ -35,47 +41,54 @@ TURN = (MAX_SPEEDS, SIZE * SIZE)
 GAIN = (MAX_SPEEDS, MAX_SECTIONS * 2)
 EACH = (MAX_SPEEDS,)
 
-CONSTANTS = (
-    Field("n", "1", "number of speeds", "int32"),
-    Field("speed", "m/s", "of each design, ascending", shape=EACH),
-    Field("tracking", "u1/y", "Q at each", shape=FILTER),
-    Field("tracking_inverse", "1", "loop_inverse of C at each", shape=EACH),
-    Field("channel_1", "y/u1", "G1 at each", shape=FILTER),
-    Field("channel_2", "y/u2", "G2 at each", shape=FILTER),
-    Field("feedthrough_2", "y/u2", "of G2 at each", shape=EACH),
-    Field("compensator", "u2/y", "F̂ at each", shape=FILTER),
-    Field("compensator_feedthrough", "u2/y", "of F̂ at each", shape=EACH),
-    Field("compensator_inverse", "1", "loop_inverse of F̂ at each", shape=EACH),
-    Field("make_up_1", "u1/y", "gain of the shortfall of channel 1 at each", shape=GAIN),
-    Field("make_up_2", "u2/y", "gain of the shortfall of channel 2 at each", shape=GAIN),
-    Field("car_1_channel_1", "y/u1", "G1 of the first other car at each", shape=FILTER),
-    Field("car_1_channel_2", "y/u2", "its G2", shape=FILTER),
-    Field("car_2_channel_1", "y/u1", "G1 of the second", shape=FILTER),
-    Field("car_2_channel_2", "y/u2", "its G2", shape=FILTER),
-    Field("car_3_channel_1", "y/u1", "G1 of the third", shape=FILTER),
-    Field("car_3_channel_2", "y/u2", "its G2", shape=FILTER),
-    Field("car_4_channel_1", "y/u1", "G1 of the fourth", shape=FILTER),
-    Field("car_4_channel_2", "y/u2", "its G2", shape=FILTER),
-    Field("turn_1", "1", "L of G1 from each speed to the next, row by row", shape=TURN),
-    Field("turn_2", "1", "L of G2", shape=TURN),
-    Field("car_1_turn_1", "1", "L of G1 of the first other car", shape=TURN),
-    Field("car_1_turn_2", "1", "L of its G2", shape=TURN),
-    Field("car_2_turn_1", "1", "L of G1 of the second", shape=TURN),
-    Field("car_2_turn_2", "1", "L of its G2", shape=TURN),
-    Field("car_3_turn_1", "1", "L of G1 of the third", shape=TURN),
-    Field("car_3_turn_2", "1", "L of its G2", shape=TURN),
-    Field("car_4_turn_1", "1", "L of G1 of the fourth", shape=TURN),
-    Field("car_4_turn_2", "1", "L of its G2", shape=TURN),
-)
-STATE = (
-    Field("place", "1", "of the speed: the number of the design below it, and λ"),
-    Field("turned", "1", "L s of one filter", shape=(SIZE,)),
-    Field("again", "1", "L L s", shape=(SIZE,)),
-)
+
+class Constants(Struct):
+    """Constants."""
+
+    n: Annotated[int, "1", "number of speeds"]
+    speed: Annotated[FloatArray, "m/s", "of each design, ascending", EACH]
+    tracking: Annotated[FloatArray, "u1/y", "Q at each", FILTER]
+    tracking_inverse: Annotated[FloatArray, "1", "loop_inverse of C at each", EACH]
+    channel_1: Annotated[FloatArray, "y/u1", "G1 at each", FILTER]
+    channel_2: Annotated[FloatArray, "y/u2", "G2 at each", FILTER]
+    feedthrough_2: Annotated[FloatArray, "y/u2", "of G2 at each", EACH]
+    compensator: Annotated[FloatArray, "u2/y", "F̂ at each", FILTER]
+    compensator_feedthrough: Annotated[FloatArray, "u2/y", "of F̂ at each", EACH]
+    compensator_inverse: Annotated[FloatArray, "1", "loop_inverse of F̂ at each", EACH]
+    make_up_1: Annotated[FloatArray, "u1/y", "gain of the shortfall of channel 1 at each", GAIN]
+    make_up_2: Annotated[FloatArray, "u2/y", "gain of the shortfall of channel 2 at each", GAIN]
+    car_1_channel_1: Annotated[FloatArray, "y/u1", "G1 of the first other car at each", FILTER]
+    car_1_channel_2: Annotated[FloatArray, "y/u2", "its G2", FILTER]
+    car_2_channel_1: Annotated[FloatArray, "y/u1", "G1 of the second", FILTER]
+    car_2_channel_2: Annotated[FloatArray, "y/u2", "its G2", FILTER]
+    car_3_channel_1: Annotated[FloatArray, "y/u1", "G1 of the third", FILTER]
+    car_3_channel_2: Annotated[FloatArray, "y/u2", "its G2", FILTER]
+    car_4_channel_1: Annotated[FloatArray, "y/u1", "G1 of the fourth", FILTER]
+    car_4_channel_2: Annotated[FloatArray, "y/u2", "its G2", FILTER]
+    turn_1: Annotated[FloatArray, "1", "L of G1 from each speed to the next, row by row", TURN]
+    turn_2: Annotated[FloatArray, "1", "L of G2", TURN]
+    car_1_turn_1: Annotated[FloatArray, "1", "L of G1 of the first other car", TURN]
+    car_1_turn_2: Annotated[FloatArray, "1", "L of its G2", TURN]
+    car_2_turn_1: Annotated[FloatArray, "1", "L of G1 of the second", TURN]
+    car_2_turn_2: Annotated[FloatArray, "1", "L of its G2", TURN]
+    car_3_turn_1: Annotated[FloatArray, "1", "L of G1 of the third", TURN]
+    car_3_turn_2: Annotated[FloatArray, "1", "L of its G2", TURN]
+    car_4_turn_1: Annotated[FloatArray, "1", "L of G1 of the fourth", TURN]
+    car_4_turn_2: Annotated[FloatArray, "1", "L of its G2", TURN]
+
+
+class State(Struct):
+    """State."""
+
+    place: Annotated[float, "1", "of the speed: the number of the design below it, and λ"]
+    turned: Annotated[FloatArray, "1", "L s of one filter", (SIZE,)]
+    again: Annotated[FloatArray, "1", "L L s", (SIZE,)]
 
 
 @firmware
-def change_speed(schedule: Record, own: Record, table: Record, state: Record, speed: float) -> None:
+def change_speed(
+    schedule: Constants, own: State, table: Table, state: layout.State, speed: float
+) -> None:
     """Blend ``table`` for ``speed`` and carry the states of the models over.
 
     A speed beyond the designs counts as the nearest design's speed; a speed that is not a number
@@ -113,7 +126,7 @@ def change_first_speed(
 
 
 @firmware
-def place_of(schedule: Record, speed: float) -> float:
+def place_of(schedule: Constants, speed: float) -> float:
     """The number of the design below ``speed``, and the share of the way from there to the next."""
     zero, one = real(0.0, speed), real(1.0, speed)
     place = zero
@@ -126,7 +139,7 @@ def place_of(schedule: Record, speed: float) -> float:
 
 
 @firmware
-def move(schedule: Record, own: Record, table: Record, state: Record, place: float) -> None:
+def move(schedule: Constants, own: State, table: Table, state: layout.State, place: float) -> None:
     """Turn all states from ``own.place`` to ``place``, interval by interval."""
     last = schedule.n - 2
     for k in range(schedule.n - 1):
@@ -143,7 +156,7 @@ def move(schedule: Record, own: Record, table: Record, state: Record, place: flo
 
 @firmware
 def turn_models(
-    schedule: Record, own: Record, table: Record, state: Record, at: int, way: float
+    schedule: Constants, own: State, table: Table, state: layout.State, at: int, way: float
 ) -> None:
     """Turn every state of a model of the car by ``way`` within the interval ``at``."""
     turn(schedule.turn_1, own, state.estimator.channel_1, at, way)
@@ -174,7 +187,7 @@ def turn_models(
 
 
 @firmware
-def turn(turns: Any, own: Record, filter_state: Record, at: int, way: float) -> None:
+def turn(turns: FloatArray, own: State, filter_state: biquad.State, at: int, way: float) -> None:
     """s → s + way L s + (way L)² s/2 of one filter.
 
     Args:
@@ -203,7 +216,7 @@ def turn(turns: Any, own: Record, filter_state: Record, at: int, way: float) -> 
 
 
 @firmware
-def blend(schedule: Record, table: Record, at: int, share: float) -> None:
+def blend(schedule: Constants, table: Table, at: int, share: float) -> None:
     """Make ``table`` that of the place ``share`` of the way from the design ``at`` to the next."""
     blend_filter(schedule.tracking, table.tracking.filter, at, share)
     blend_filter(schedule.channel_1, table.estimator.channel_1, at, share)
@@ -227,7 +240,7 @@ def blend(schedule: Record, table: Record, at: int, share: float) -> None:
 
 
 @firmware
-def between(values: Any, at: int, share: float) -> float:
+def between(values: FloatArray, at: int, share: float) -> float:
     """The value on the line from the ``at``-th of ``values`` to the next."""
     value: float = values[at]
     if share != 0.0:
@@ -236,7 +249,7 @@ def between(values: Any, at: int, share: float) -> float:
 
 
 @firmware
-def blend_filter(designs: Any, cascade: Record, at: int, share: float) -> None:
+def blend_filter(designs: FloatArray, cascade: biquad.Constants, at: int, share: float) -> None:
     """Blend the coefficients of a cascade; ``designs`` has one row for each speed."""
     n = cascade.n
     for i in range(n):
@@ -248,7 +261,9 @@ def blend_filter(designs: Any, cascade: Record, at: int, share: float) -> None:
 
 
 @firmware
-def blend_gain(designs: Any, shortfall: Record, n: int, at: int, share: float) -> None:
+def blend_gain(
+    designs: FloatArray, shortfall: shortfall.Constants, n: int, at: int, share: float
+) -> None:
     """The gain of a shortfall of ``n`` sections likewise."""
     for i in range(n):
         for j in range(2):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Annotated
 
-from firmware_model.law.structs import Field
+from firmware_model.law.structs import Struct
 
 
 class Mode(IntEnum):
@@ -58,12 +59,13 @@ class Verdict(IntEnum):
     """There is a fault, and more than one hypothesis that explains it."""
 
 
-STATE = (
-    Field("reference", "y", "r of this tick"),
-    Field("measurement", "y", "y (D*) of this tick"),
-    Field("command_1", "u1", "command to channel 1, saturated and quantised"),
-    Field("command_2", "u2", "command to channel 2, saturated and quantised"),
-    Field("fault_estimate", "y", "d̂"),
-    Field("mode", "1", "a Mode", "int32"),
-    Field("fault_state", "1", "a FaultState", "int32"),
-)
+class State(Struct):
+    """State."""
+
+    reference: Annotated[float, "y", "r of this tick"]
+    measurement: Annotated[float, "y", "y (D*) of this tick"]
+    command_1: Annotated[float, "u1", "command to channel 1, saturated and quantised"]
+    command_2: Annotated[float, "u2", "command to channel 2, saturated and quantised"]
+    fault_estimate: Annotated[float, "y", "d̂"]
+    mode: Annotated[int, "1", "a Mode"]
+    fault_state: Annotated[int, "1", "a FaultState"]

@@ -1,7 +1,8 @@
 """Declaration of the memory on the target: structs of fields with unit and meaning.
 
-Each module of this room declares two structs, ``CONSTANTS`` and ``STATE``; ``layout`` nests the
-structs. A struct becomes a numpy record type with the offsets that a C compiler gives it.
+Each module of this room declares two structs, ``Constants`` and ``State``; ``layout`` nests the
+structs. A declaration is the one source of the NumPy layout, with the offsets that a C compiler
+gives it, of what a type checker sees, and of the struct in C.
 
 Units are those of the plant: ``u1`` and ``u2`` of the two commands (N m and N for the car), ``y``
 of the measurement (m/s²), ``tick`` for a sampling period, ``1`` for a pure number.
@@ -9,9 +10,10 @@ of the measurement (m/s²), ``tick`` for a sampling period, ``1`` for a pure num
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, cast, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +24,51 @@ MAX_SHOWN_TICKS = 2 * MAX_LATENCY_TICKS  # of the bus, and of a dead time
 
 Precision = Literal["float64", "float32"]
 FloatArray = NDArray[np.float64]
-Record = Any  # one numpy record: numba and mypy share no type name for records
-RecordArray = Any  # an array of them, shape (n,)
+RecordArray = Any  # an array of records, shape (n,)
+
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+def _cached(function: Function) -> Function:
+    """``functools.cache``, with the types of the arguments still checked."""
+    return cast(Function, cache(function))
+
+
+class Struct:
+    """Base of the declarations: each field has a type, a unit, a meaning and, an array, a shape.
+
+    A field is ``name: Annotated[type, unit, meaning]`` with the type ``float`` for a real number in
+    the precision of the table, ``int`` for a 32-bit integer, or another declaration; an array of
+    real numbers is ``Annotated[FloatArray, unit, meaning, shape]``. No instance is ever made: a
+    record of ``record_type`` has these fields, and the class is its type for a type checker.
+    """
+
+    if TYPE_CHECKING:  # what every record of NumPy has
+
+        @property
+        def dtype(self) -> np.dtype[np.void]:
+            """The layout."""
+
+        @property
+        def nbytes(self) -> int:
+            """The size in bytes."""
+
+        @property
+        def __array_interface__(self) -> dict[str, Any]:
+            """The address and the layout."""
+
+        def copy(self) -> Self:
+            """An independent record."""
+
+        def tobytes(self) -> bytes:
+            """The memory, with its padding."""
+
+        def __getitem__(self, name: str) -> Any:
+            """The field called ``name``."""
+
+        def __setitem__(self, name: str, value: object) -> None:
+            """Write the field called ``name``."""
 
 
 @dataclass(frozen=True)
@@ -41,26 +86,54 @@ class Field:
     name: str
     unit: str
     meaning: str
-    kind: Literal["real", "int32"] | tuple[Field, ...] = "real"
+    kind: Literal["real", "int32"] | type[Struct] = "real"
     shape: tuple[int, ...] = ()
 
 
-Struct = tuple[Field, ...]
+@_cached
+def fields_of(struct: type[Struct]) -> tuple[Field, ...]:
+    """The fields of a declaration, inherited ones first.
+
+    Raises:
+        TypeError: a field has no unit and meaning, or a type that no target has.
+    """
+    hints = get_type_hints(struct, include_extras=True)
+    return tuple(_field(struct, name, hint) for name, hint in hints.items())
 
 
-@cache
-def struct_type(struct: Struct, precision: Precision) -> np.dtype[np.void]:
+def _field(struct: type[Struct], name: str, hint: Any) -> Field:
+    said: tuple[Any, ...] = getattr(hint, "__metadata__", ())
+    kinds: dict[object, Literal["real", "int32"]] = {
+        float: "real", int: "int32", FloatArray: "real"
+    }  # fmt: skip
+    match getattr(hint, "__origin__", None), said:
+        case type() as kind, (str(unit), str(meaning)) if issubclass(kind, Struct):
+            return Field(name, unit, meaning, kind)
+        case kind, (str(unit), str(meaning)) if kind in (float, int):
+            return Field(name, unit, meaning, kinds[kind])
+        case kind, (str(unit), str(meaning), tuple(shape)) if kind == FloatArray:
+            return Field(name, unit, meaning, kinds[kind], shape)
+    raise TypeError(
+        f"{struct.__module__}.{struct.__qualname__}.{name}: must be Annotated[float, unit, "
+        "meaning], of an int or a Struct likewise, or Annotated[FloatArray, unit, meaning, shape]"
+    )
+
+
+@_cached
+def struct_type(struct: type[Struct], precision: Precision) -> np.dtype[np.void]:
     """The aligned layout of ``struct`` with its real numbers in ``precision``."""
 
     def type_of(field: Field) -> np.dtype[Any]:
-        if isinstance(field.kind, tuple):
+        if isinstance(field.kind, type):
             return struct_type(field.kind, precision)
         return np.dtype(precision if field.kind == "real" else np.int32)
 
-    return np.dtype([(field.name, type_of(field), field.shape) for field in struct], align=True)
+    return np.dtype(
+        [(field.name, type_of(field), field.shape) for field in fields_of(struct)], align=True
+    )
 
 
-@cache
-def record_type(struct: Struct, precision: Precision) -> np.dtype[np.void]:
+@_cached
+def record_type(struct: type[Struct], precision: Precision) -> np.dtype[np.void]:
     """``struct_type`` with members (nested members too) readable and writable as attributes."""
     return np.dtype((np.record, struct_type(struct, precision)))

@@ -16,7 +16,7 @@ from firmware_model.discretisation.schedules import AtSpeed, Scheduled, schedule
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.layout import precision_of
-from firmware_model.law.schedule import STATE, change_speed
+from firmware_model.law.schedule import State, change_speed
 from firmware_model.law.structs import record_type
 
 TICK_S = 1e-3
@@ -55,7 +55,7 @@ class Blended:
         self.schedule = of.schedule
         self.table = np.array([of.table])[0]
         self.state = controller.init(self.table)[0]
-        self.own = np.zeros(1, record_type(STATE, precision_of(of.table)))[0]
+        self.own = np.zeros(1, record_type(State, precision_of(of.table)))[0]
 
     def to(self, speed: float) -> None:
         change_speed(self.schedule, self.own, self.table, self.state, speed)

@@ -125,3 +125,23 @@ def test_nothing_is_known_of_a_fault_at_rest():
     assert firmware.hypotheses.verdict == Verdict.NOTHING
     firmware.step(1.0, 0.0)
     assert firmware.hypotheses.signatures.sensor_biased.candidate.age == 1.0
+
+
+def test_a_plant_driven_by_the_commands_themselves_changes_no_bit() -> None:
+    table = build(design(steer_by_wire(), DesignSpecification()), Target(0.001, latency_ticks=1))
+    ours, driven = Firmware(table), Firmware(table)
+    for k in range(60):
+        measurement = 0.01 * k
+        answer = ours.step(1.0, measurement)
+        assert driven.step(1.0, measurement) == answer
+        driven.drive_with(answer.command_1, answer.command_2)
+
+
+def test_measured_inputs_drive_the_estimate() -> None:
+    """A motor that applies nothing, as a measurement shows, leaves no mismatch to D* at rest."""
+    table = build(design(steer_by_wire(), DesignSpecification()), Target(0.001, latency_ticks=1))
+    told, untold = Firmware(table), Firmware(table)
+    for _ in range(50):
+        measured, assumed = told.step(0.1, 0.0), untold.step(0.1, 0.0)
+        told.drive_with(0.0, 0.0)
+    assert abs(measured.fault_estimate) < 1e-9 < abs(assumed.fault_estimate)

@@ -265,6 +265,9 @@ REFUSED_COEFFICIENTS: dict[str, tuple[Any, str]] = {
     "one row": (lambda: Filter.from_sos(SECTION, tick_s=1.0), r"shape \(6,\): must be \(n, 6\)"),
     "NaN": (lambda: Filter.from_ba([math.nan], [1.0], tick_s=1.0), "b: every number must be real"),
     "no tick": (lambda: Filter.from_sos([SECTION], tick_s=0.0), "tick_s = 0.0: must be one finite"),
+    "a row": (lambda: Filter.from_ba([[1.0]], [1.0], tick_s=1.0), "must be one row"),
+    "ragged": (lambda: Filter.from_sos([SECTION, [1.0]], tick_s=1.0), "rows of different lengths"),
+    "order": (lambda: Filter.from_zpk([], [0.5] * 17, 1.0, tick_s=1.0), "a filter of order 17"),
     "a0": (lambda: Filter.from_sos([[1, 0, 0, 0, 1, 0]], tick_s=1.0), "a0 = 0 is improper"),
     "a[0]": (lambda: Filter.from_ba([1.0], [0.0, 1.0], tick_s=1.0), r"a\[0\] = 0: improper"),
     "unstable": (
@@ -281,6 +284,7 @@ REFUSED_COEFFICIENTS: dict[str, tuple[Any, str]] = {
 }
 
 
+@pytest.mark.every_case
 @pytest.mark.parametrize("kind", REFUSED_COEFFICIENTS)
 def test_wrong_coefficients_are_refused_in_one_line(kind: str) -> None:
     asked, message = REFUSED_COEFFICIENTS[kind]
@@ -353,6 +357,7 @@ C_REFUSED = {
 }
 
 
+@pytest.mark.every_case
 @pytest.mark.parametrize("kind", C_REFUSED)
 def test_a_c_function_that_is_no_filter_is_refused(library: ctypes.CDLL, kind: str) -> None:
     name, states, message = C_REFUSED[kind]

@@ -171,6 +171,7 @@ def test_every_python_block_is_run_by_some_test() -> None:
         *RUN,  # above
         # below, in test_docs_logs, and above
         *("docs/logs.md", "docs/scenarios.md", "docs/controllers.md"),
+        "docs/recorded-drives.md",  # in test_recorded_drive
     }
 
 

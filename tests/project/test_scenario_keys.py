@@ -31,7 +31,7 @@ def tables(section: str, values: dict[str, Any]) -> Iterator[tuple[str, dict[str
     inner = {key: value for key, value in values.items() if isinstance(value, dict)}
     free = {key: inner.pop(key, {}) for key in ("parameters", "variables")}
     assert not any(free.values())
-    no_values = {*inner, *free, "name", "disturbance"}  # no scenario has one by default
+    no_values = {*inner, *free, "name", "disturbance", "sensor"}  # none by default
     yield section, {k: v for k, v in values.items() if k not in no_values}
     for key, table in inner.items():
         if key != "model":

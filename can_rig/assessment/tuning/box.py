@@ -30,7 +30,7 @@ from firmware_model.analysis.sampled_loop import (
 )
 from firmware_model.design.plants import Plant
 from firmware_model.design.vehicle import VehicleParameters
-from firmware_model.law.structs import Record
+from firmware_model.law.layout import Table
 
 Range = tuple[float, float]
 Law = tuple[LinearController, tuple[float, float]]  # and the remaining shares of the actuators
@@ -134,7 +134,7 @@ def _no_car(label: str, reason: str) -> ScenarioError:
     return ScenarioError(f"box: {label}: {reason}; a smaller --box or --box-set may help")
 
 
-def laws(table: Record) -> tuple[Law, Law]:
+def laws(table: Table) -> tuple[Law, Law]:
     """The law and the actuators' remaining shares: healthy, and with the torque channel dead."""
     return (
         (linear_controller(table), HEALTHY),
@@ -142,12 +142,12 @@ def laws(table: Record) -> tuple[Law, Law]:
     )
 
 
-def loops(table: Record, car: Car, tick_s: float) -> list[SampledLoop]:
+def loops(table: Table, car: Car, tick_s: float) -> list[SampledLoop]:
     """The loop with ``car``, healthy and with the torque channel dead."""
     return [sampled_loop(law, car.plant, tick_s, left) for law, left in laws(table)]
 
 
-def is_stable(table: Record, some: Iterable[Car], tick_s: float, spare_ticks: int) -> bool:
+def is_stable(table: Table, some: Iterable[Car], tick_s: float, spare_ticks: int) -> bool:
     """Whether all cars are stable, healthy and lost, with up to ``spare_ticks`` of extra delay.
 
     A false alarm must be stable too, without extra delay: a car other than the nominal car shows
@@ -161,7 +161,7 @@ def is_stable(table: Record, some: Iterable[Car], tick_s: float, spare_ticks: in
     return all(_is_stable(law, car, tick_s, extra) for car in some for law, extra in needed)
 
 
-def delay_margin(table: Record, some: Iterable[Car], tick_s: float, known: int = -1) -> int:
+def delay_margin(table: Table, some: Iterable[Car], tick_s: float, known: int = -1) -> int:
     """Extra ticks of delay, up to ``MAX_DELAY_TICKS``, through which every car is stable.
 
     Healthy and lost; -1 for a car unstable without extra delay. All cars are known to be stable

@@ -29,7 +29,8 @@ from firmware_model.analysis.simulation import simulate
 from firmware_model.design.factors import unstable
 from firmware_model.discretisation.tables import build
 from firmware_model.errors import DesignError
-from firmware_model.law.structs import FloatArray, Record
+from firmware_model.law.layout import Table
+from firmware_model.law.structs import FloatArray
 
 
 class Refusal(StrEnum):
@@ -265,7 +266,7 @@ def assess(
     return _lose_torque(scenario, table, (noise_1, noise_2))
 
 
-def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) -> Tuning | Refusal:
+def _lose_torque(scenario: Scenario, table: Table, noise: tuple[float, float]) -> Tuning | Refusal:
     """The loss during a settled step, or of a plant that integrates in the scenario's drive."""
     tick_s, car = scenario.tick_s, continuous_plant(scenario.plant)
     loss, drive = _loss_in_its_drive(scenario) if car.integrates else _loss_in_a_step(scenario)
@@ -312,7 +313,7 @@ def _loss_in_a_step(scenario: Scenario) -> tuple[int, FloatArray]:
     return loss, np.full(ticks, scenario.reference.amplitude_mps2)
 
 
-def trusting_table(scenario: Scenario) -> Record:
+def trusting_table(scenario: Scenario) -> Table:
     """The controller's table without frames, whose decision trusts the model.
 
     The drive before a loss decides the time of detection with another car; the tuning decides the
@@ -335,7 +336,7 @@ AT_REST = 0.05  # largest error at rest, as a share of the step
 
 
 def box_refusal(
-    scenario: Scenario, table: Record, cars: Sequence[Car], spare_ticks: int
+    scenario: Scenario, table: Table, cars: Sequence[Car], spare_ticks: int
 ) -> tuple[Refusal, Car | None] | None:
     """The first failed test of ``scenario``'s tuning, and the failing drive's car.
 

@@ -197,6 +197,8 @@ class RealTimeControllerNode:
             self._take_in_feedback(message)
         elif self._end.is_speed(message):
             self._speed_now = self._end.speed_of(message, None) or self._speed_now
+        elif self._end.witnesses.concerns(message):
+            self._end.witnesses.take(message, None)
         elif number in self._command_ids and self._listens:
             raise BusError(
                 "another controller node sends commands on this bus; there must be only one"
@@ -221,7 +223,7 @@ class RealTimeControllerNode:
         reference = now.value if now.tick == record.tick else math.nan
         fresh = self._speed_now.tick == record.tick
         speed = self._speed_now.value if fresh else math.nan
-        inputs = Inputs(reference, record.value, speed)
+        inputs = Inputs(reference, record.value, speed, self._end.witnesses.end_tick(tick))
         self._waiting.append(Sample(tick, inputs, self._offered_s))
 
     def _miss(

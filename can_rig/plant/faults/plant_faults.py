@@ -10,8 +10,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from can_rig.scenario.fault_settings import CHANNELS, MAX_LATE_TICKS, PLACES, FaultSettings
+from can_rig.scenario.fault_settings import (
+    CHANNELS,
+    MAX_LATE_TICKS,
+    PLACES,
+    SENSOR,
+    FaultSettings,
+)
 from can_rig.scenario.settings import Scenario
+from firmware_model.analysis import witnesses
 from firmware_model.analysis.hardware import (
     ADDED,
     DISTORTION,
@@ -91,18 +98,27 @@ class PlantFaults:
 
     def __init__(self, scenario: Scenario) -> None:
         self._tick_ns, self._tick_s = scenario.tick_ns, scenario.tick_s
+        self._sensors: list[str] = [each.measures for each in scenario.sensors]
+        self._of_witnesses = [
+            f for f in scenario.faults if f.place in self._sensors and not f.acts_on_frames
+        ]
         self._dead = [f for f in scenario.faults if f.kind == "actuator-dead"]
-        self._in_bias = [f for f in scenario.faults if f.kind in ADDING and f.place not in CHANNELS]
+        self._in_bias = [f for f in scenario.faults if f.kind in ADDING and f.place == SENSOR]
         self._in_rows = [
             f
             for f in scenario.faults
-            if f.kind in DISTORTING or (f.kind in ADDING and f.place in CHANNELS)
+            if (f.kind in DISTORTING and f.place in PLACES)
+            or (f.kind in ADDING and f.place in CHANNELS)
         ]
 
     @property
     def latest_ticks(self) -> int:
         """The longest delay of a command or a reading by these faults, in ticks."""
-        return sum(fault.late_ticks for fault in self._in_rows if fault.kind.endswith("-late"))
+        return sum(
+            fault.late_ticks
+            for fault in (*self._in_rows, *self._of_witnesses)
+            if fault.kind.endswith("-late")
+        )
 
     def left(self, ticks: range) -> FloatArray:
         """(ticks, 2), the remaining share of each actuator: 1 healthy, ``fault.left`` dead."""
@@ -131,6 +147,23 @@ class PlantFaults:
             else:
                 DISTORTING[fault.kind](fault, its, self._tick_s)
         return rows
+
+    def of_witnesses(self, ticks: range) -> tuple[FloatArray, FloatArray]:
+        """What faults of further sensors do: an addition, and rows of ``witnesses``.
+
+        Returns:
+            (ticks, sensors), and (ticks, sensors, ``DISTORTION``), or (1, ...) without faults.
+        """
+        r = len(self._sensors)
+        bias = np.zeros((len(ticks), r))
+        rows = np.tile(witnesses.HEALTHY, (len(ticks) if self._of_witnesses else 1, r, 1))
+        for fault in self._of_witnesses:
+            at, sensor = self._at(fault, ticks), self._sensors.index(fault.place)
+            if fault.kind in ADDING:
+                bias[at, sensor] += ADDING[fault.kind](fault, self._since_s(fault, ticks))
+            else:
+                DISTORTING[fault.kind](fault, rows[at, sensor], self._tick_s)
+        return bias, rows
 
     def _at(self, fault: FaultSettings, ticks: range) -> slice:
         """The slice of ``ticks`` during which ``fault`` acts."""

@@ -17,26 +17,32 @@ first sample is made up almost at once; a loss with a settled w, at the pace of 
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.exponential import exp_minus
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import Struct
 
-CONSTANTS = (
-    Field("slowest_pace", "1/tick", "least -ln p: the pace of the car"),
-    Field("haste", "1", "-ln p over the speed of s w by its value"),
-)
-STATE = (
-    Field("missed", "y", "m, the part of s w held back from F̂"),
-    Field("missed_growth", "y/tick", "b of m, as of this tick"),
-    Field("missed_memory", "1", "p of m"),
-    Field("carried", "y", "input of F̂ in the last tick"),
-    Field("carried_speed", "y/tick", "change of the input of F̂ in the last tick"),
-)
+
+class Constants(Struct):
+    """Constants."""
+
+    slowest_pace: Annotated[float, "1/tick", "least -ln p: the pace of the car"]
+    haste: Annotated[float, "1", "-ln p over the speed of s w by its value"]
+
+
+class State(Struct):
+    """State."""
+
+    missed: Annotated[float, "y", "m, the part of s w held back from F̂"]
+    missed_growth: Annotated[float, "y/tick", "b of m, as of this tick"]
+    missed_memory: Annotated[float, "1", "p of m"]
+    carried: Annotated[float, "y", "input of F̂ in the last tick"]
+    carried_speed: Annotated[float, "y/tick", "change of the input of F̂ in the last tick"]
 
 
 @firmware
-def begin_transfer(constants: Record, state: Record, lost: float, speed: float) -> None:
+def begin_transfer(constants: Constants, state: State, lost: float, speed: float) -> None:
     """From this tick on F̂ takes over the lost channel's part of y.
 
     Args:
@@ -60,7 +66,7 @@ def begin_transfer(constants: Record, state: Record, lost: float, speed: float) 
 
 
 @firmware
-def transfer(state: Record, lost: float) -> float:
+def transfer(state: State, lost: float) -> float:
     """The input of F̂ in this tick, where s w is ``lost``."""
     state.missed = state.missed_memory * (state.missed + state.missed_growth)
     state.missed_growth = state.missed_memory * state.missed_growth
@@ -71,6 +77,6 @@ def transfer(state: Record, lost: float) -> float:
 
 
 @firmware
-def release(state: Record) -> None:
+def release(state: State) -> None:
     """Empty F̂ and forget its past output."""
     state.missed = state.missed_growth = state.carried = state.carried_speed = 0.0

@@ -9,27 +9,29 @@ the result of a subtraction (Bierman, Factorization Methods for Discrete Sequent
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import FloatArray, Struct
 
 MAX_DIRECTIONS = 4
 LOSS_STATES = 2  # of a confirmed loss: share and moment
 MAX_STATES = LOSS_STATES + MAX_DIRECTIONS + 1  # these, directions, the remainder
 SIZES = (MAX_STATES,)
 
-STATE = (
-    Field("upper", "1", "U above its diagonal of ones", shape=(MAX_STATES, MAX_STATES)),
-    Field("variances", "1", "D", shape=SIZES),
-    Field("projected", "y", "Uᵀ x of the last measurement", shape=SIZES),
-    Field("added", "1", "direction of the added term", shape=SIZES),
-)
+
+class State(Struct):
+    """State."""
+
+    upper: Annotated[FloatArray, "1", "U above its diagonal of ones", (MAX_STATES, MAX_STATES)]
+    variances: Annotated[FloatArray, "1", "D", SIZES]
+    projected: Annotated[FloatArray, "y", "Uᵀ x of the last measurement", SIZES]
+    added: Annotated[FloatArray, "1", "direction of the added term", SIZES]
 
 
 @firmware
-def measure(state: Record, n: int, x: Any, noise: float, gain: Any) -> float:
+def measure(state: State, n: int, x: FloatArray, noise: float, gain: FloatArray) -> float:
     """P after a measurement xᵀθ + white noise of variance ``noise``, above 0.
 
     Args:
@@ -64,7 +66,7 @@ def measure(state: Record, n: int, x: Any, noise: float, gain: Any) -> float:
 
 
 @firmware
-def fade(state: Record, n: int, memory: Any) -> None:
+def fade(state: State, n: int, memory: FloatArray) -> None:
     """P after each state has been multiplied by its ``memory``, above 0, shape (n,) or longer."""
     upper, variances = state.upper, state.variances
     for j in range(n):
@@ -74,7 +76,7 @@ def fade(state: Record, n: int, memory: Any) -> None:
 
 
 @firmware
-def grow(state: Record, which: int, variance: float) -> None:
+def grow(state: State, which: int, variance: float) -> None:
     """P after white noise of ``variance``, 0 or above, has been added to the state ``which``."""
     upper, variances, added = state.upper, state.variances, state.added
     added[:] = 0.0
@@ -93,7 +95,7 @@ def grow(state: Record, which: int, variance: float) -> None:
 
 
 @firmware
-def variance_of(state: Record, n: int, which: int) -> float:
+def variance_of(state: State, n: int, which: int) -> float:
     """The variance in P of the state ``which`` of the ``n`` in use."""
     upper, variances = state.upper, state.variances
     variance: float = variances[which]
@@ -103,7 +105,7 @@ def variance_of(state: Record, n: int, which: int) -> float:
 
 
 @firmware
-def replace_loss(state: Record, share: float, moment: float) -> None:
+def replace_loss(state: State, share: float, moment: float) -> None:
     """P with new states of a loss, of these variances, in place of the old; the others stay."""
     state.upper[:LOSS_STATES, 1:] = 0.0
     state.variances[0] = share
@@ -111,7 +113,7 @@ def replace_loss(state: Record, share: float, moment: float) -> None:
 
 
 @firmware
-def clear_covariance(state: Record) -> None:
+def clear_covariance(state: State) -> None:
     """P is zero."""
     state.upper[:] = 0.0
     state.variances[:] = 0.0

@@ -22,6 +22,8 @@ within ``horizon``, a small d̂ proves no health, and the state is CANNOT_TELL i
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer
 from firmware_model.law.fault_decision.hypotheses.sensor_error import sensor_error_shown
@@ -53,7 +55,12 @@ from firmware_model.law.fault_decision.other_cars import show_other_cars
 from firmware_model.law.fault_decision.probe import begin_probe, correlate, end_probe
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import Struct
+
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
 
 CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = (
     int(FaultState.CLEAR),
@@ -64,22 +71,31 @@ CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = (
 
 LEAST_SHARE = 0.01  # of a confirmed loss: no division by nothing
 
-CONSTANTS = (
-    Field("confirm", "1", "evidence that confirms a loss"),
-    Field("recover", "1", "evidence that ends a loss: more, because a return is not urgent"),
-    Field("suspect", "1", "evidence from which a loss is compensated provisionally"),
-    Field("horizon", "tick", "time within which a new loss must show"),
-    Field("pause_ticks", "tick", "pause after a probe without a finding", "int32"),
-    Field("tracks_share", "1", "1: a Kalman filter follows the lost share; 0: a test", "int32"),
-)
-STATE = (
-    Field("pause", "tick", "until the next probe", "int32"),
-    Field("suspected_share", "1", "part of channel 1 that a suspicion takes for lost"),
-)
+
+class Constants(Struct):
+    """Constants."""
+
+    confirm: Annotated[float, "1", "evidence that confirms a loss"]
+    recover: Annotated[
+        float, "1", "evidence that ends a loss: more, because a return is not urgent"
+    ]
+    suspect: Annotated[float, "1", "evidence from which a loss is compensated provisionally"]
+    horizon: Annotated[float, "tick", "time within which a new loss must show"]
+    pause_ticks: Annotated[int, "tick", "pause after a probe without a finding"]
+    tracks_share: Annotated[int, "1", "1: a Kalman filter follows the lost share; 0: a test"]
+
+
+class State(Struct):
+    """State."""
+
+    pause: Annotated[int, "tick", "until the next probe"]
+    suspected_share: Annotated[float, "1", "part of channel 1 that a suspicion takes for lost"]
 
 
 @firmware
-def decide(table: Record, state: Record, residual: float, model_1: float, model_2: float) -> None:
+def decide(
+    table: Table, state: layout.State, residual: float, model_1: float, model_2: float
+) -> None:
     """The fault state of this tick.
 
     Args:
@@ -137,7 +153,7 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
 
 
 @firmware
-def begin_suspicion(table: Record, state: Record) -> None:
+def begin_suspicion(table: Table, state: layout.State) -> None:
     """Compensate the candidate's possible cost so far; zero if channel 2 is lost."""
     constants, test = table.sequential_test, state.sequential_test
     share = possible_share(max(lost_share(constants, test), constants.share))
@@ -148,7 +164,7 @@ def begin_suspicion(table: Record, state: Record) -> None:
 
 
 @firmware
-def acquit(table: Record, state: Record) -> None:
+def acquit(table: Table, state: layout.State) -> None:
     """Withdraw a suspected loss of channel 1: the fault is in the sensor or the force difference.
 
     With channel 2 lost no suspicion is compensated. The function ends the decision's compensation;
@@ -162,7 +178,7 @@ def acquit(table: Record, state: Record) -> None:
 
 
 @firmware
-def acting_commands(table: Record, state: Record) -> tuple[float, float]:
+def acting_commands(table: Table, state: layout.State) -> tuple[float, float]:
     """The commands visible in the measurement, without the known loss."""
     one = real(1.0, state.command_1)
     share = one - known_share(state) if state.fault_state == CONFIRMED else one
@@ -174,7 +190,7 @@ def acting_commands(table: Record, state: Record) -> tuple[float, float]:
 
 
 @firmware
-def evaluate_probe(table: Record, state: Record, residual: float) -> None:
+def evaluate_probe(table: Table, state: layout.State, residual: float) -> None:
     """Take in a tick of the probe; at its end confirm the loss, or wait with the next probe."""
     if not correlate(table.probe, state.probe, residual, candidate_shown(table, state)):
         return
@@ -186,7 +202,7 @@ def evaluate_probe(table: Record, state: Record, residual: float) -> None:
 
 
 @firmware
-def confirm(table: Record, state: Record) -> None:
+def confirm(table: Table, state: layout.State) -> None:
     """Take channel 1 for lost since the start of the candidate."""
     take_candidate(
         table,
@@ -198,14 +214,14 @@ def confirm(table: Record, state: Record) -> None:
 
 
 @firmware
-def recover(table: Record, state: Record) -> None:
+def recover(table: Table, state: layout.State) -> None:
     """Channel 1 works again, since the start of the candidate."""
     take_candidate(table, state, known_share(state), -real(1.0, state.command_1))
     state.fault_state = CLEAR
 
 
 @firmware
-def take_candidate(table: Record, state: Record, share: float, sign: float) -> None:
+def take_candidate(table: Table, state: layout.State, share: float, sign: float) -> None:
     """Accept the candidate: ``share`` is lost (``sign`` 1) or works again (-1).
 
     From now on the filter learns the errors of share and moment.
@@ -224,7 +240,7 @@ def take_candidate(table: Record, state: Record, share: float, sign: float) -> N
 
 
 @firmware
-def transfer_to_losses(table: Record, state: Record, share: float) -> None:
+def transfer_to_losses(table: Table, state: layout.State, share: float) -> None:
     """Begin a bumpless transfer of F̂ to the known loss and ``share`` of the candidate."""
     loss, test = state.loss_model, state.sequential_test
     lost = loss.followed * loss.previous_output + share * test.previous_output
@@ -233,7 +249,7 @@ def transfer_to_losses(table: Record, state: Record, share: float) -> None:
 
 
 @firmware
-def compensated_output(table: Record, state: Record) -> float:
+def compensated_output(table: Table, state: layout.State) -> float:
     """The input of F̂: the known loss plus the suspected loss."""
     lost: float = state.loss_model.followed * loss_output(table, state)
     if state.fault_state == SUSPECTED and table.probe.ticks == 0:

@@ -19,6 +19,8 @@ The test for the return of a lost channel is the same with the opposite sign.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
 import numpy as np
 
 from firmware_model.compiled import firmware
@@ -27,36 +29,47 @@ from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.filters.estimator import pending_command
 from firmware_model.law.precision import real
-from firmware_model.law.structs import MAX_SHOWN_TICKS, Field, Record
+from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
 
-CONSTANTS = (
-    Field("share", "1", "tested lost share of channel 1"),
-    Field("restart", "1", "log-likelihood ratio of a restart"),
-    Field("freshness", "1", "least growth of information per doubled age; else the candidate ends"),
-    Field("needed", "1", "information of a decision"),
-    Field("promising", "1", "evidence that keeps an old candidate"),
-    Field("deviations", "1", "deviations by which a share above 1 must exceed 1"),
-)
-STATE = (
-    Field("channel_1", "y", "state of G1 driven by the commands since the start", biquad.STATE),
-    Field(
-        "earlier", "y", "state of G1 driven only by the last command before the start", biquad.STATE
-    ),
-    Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_SHOWN_TICKS,)),
-    Field("previous_output", "y", "w of the last tick"),
-    Field("previous_shown", "y", "w of the last tick as contained in d̂"),
-    Field("explained", "1", "effect of w on θ", shape=(MAX_STATES,)),
-    Field("age", "tick", "since the start"),
-    Field("evidence", "1", "g, log-likelihood ratio"),
-    Field("correlation", "1", "Σ ν f/S for a share of 1"),
-    Field("information", "1", "Σ f²/S for a share of 1"),
-    Field("half_age", "tick", "age at the last check of growth"),
-    Field("half_information", "1", "information at the last check of growth"),
-)
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
+
+class Constants(Struct):
+    """Constants."""
+
+    share: Annotated[float, "1", "tested lost share of channel 1"]
+    restart: Annotated[float, "1", "log-likelihood ratio of a restart"]
+    freshness: Annotated[
+        float, "1", "least growth of information per doubled age; else the candidate ends"
+    ]
+    needed: Annotated[float, "1", "information of a decision"]
+    promising: Annotated[float, "1", "evidence that keeps an old candidate"]
+    deviations: Annotated[float, "1", "deviations by which a share above 1 must exceed 1"]
+
+
+class State(Struct):
+    """State."""
+
+    channel_1: Annotated[biquad.State, "y", "state of G1 driven by the commands since the start"]
+    earlier: Annotated[
+        biquad.State, "y", "state of G1 driven only by the last command before the start"
+    ]
+    delay: Annotated[FloatArray, "y", "ring of w on its way into d̂", (MAX_SHOWN_TICKS,)]
+    previous_output: Annotated[float, "y", "w of the last tick"]
+    previous_shown: Annotated[float, "y", "w of the last tick as contained in d̂"]
+    explained: Annotated[FloatArray, "1", "effect of w on θ", (MAX_STATES,)]
+    age: Annotated[float, "tick", "since the start"]
+    evidence: Annotated[float, "1", "g, log-likelihood ratio"]
+    correlation: Annotated[float, "1", "Σ ν f/S for a share of 1"]
+    information: Annotated[float, "1", "Σ f²/S for a share of 1"]
+    half_age: Annotated[float, "tick", "age at the last check of growth"]
+    half_information: Annotated[float, "1", "information at the last check of growth"]
 
 
 @firmware
-def candidate_output(table: Record, state: Record) -> float:
+def candidate_output(table: Table, state: layout.State) -> float:
     """Return w of this tick, driven by this tick's command."""
     candidate = state.sequential_test.channel_1
     w: float = output(table.estimator.channel_1, candidate, state.command_1)
@@ -64,7 +77,7 @@ def candidate_output(table: Record, state: Record) -> float:
 
 
 @firmware
-def update_test(table: Record, state: Record, innovation: float, share: float) -> None:
+def update_test(table: Table, state: layout.State, innovation: float, share: float) -> None:
     """Take in a tick; ``share`` is signed: above 0 a loss is looked for, below 0 a return."""
     test, mismatch = state.sequential_test, state.mismatch
     shown = candidate_shown(table, state)
@@ -89,7 +102,7 @@ def update_test(table: Record, state: Record, innovation: float, share: float) -
 
 
 @firmware
-def is_stale(constants: Record, test: Record) -> bool:
+def is_stale(constants: Constants, test: State) -> bool:
     """Whether a candidate of doubled age has gained hardly any information.
 
     Neither a good part of the present information, nor enough for a decision.
@@ -106,7 +119,7 @@ def is_stale(constants: Record, test: Record) -> bool:
 
 
 @firmware
-def candidate_shown(table: Record, state: Record) -> float:
+def candidate_shown(table: Table, state: layout.State) -> float:
     """Return w as contained in d̂ of this tick, late by bus and dead time."""
     if table.estimator.shown_ticks_1 > 0:
         w: float = state.sequential_test.delay[state.estimator.shown_index_1]
@@ -115,7 +128,7 @@ def candidate_shown(table: Record, state: Record) -> float:
 
 
 @firmware
-def start_candidate(table: Record, state: Record) -> None:
+def start_candidate(table: Table, state: layout.State) -> None:
     """Restart: all past commands acted; the commands on the way are lost."""
     test, estimator = state.sequential_test, table.estimator
     g1, shown = estimator.channel_1, estimator.shown_ticks_1
@@ -138,7 +151,7 @@ def start_candidate(table: Record, state: Record) -> None:
 
 
 @firmware
-def advance_candidate(table: Record, state: Record) -> None:
+def advance_candidate(table: Table, state: layout.State) -> None:
     """Advance w by this tick's command, computed or held."""
     test = state.sequential_test
     w = advance(table.estimator.channel_1, test.channel_1, state.command_1)
@@ -149,7 +162,7 @@ def advance_candidate(table: Record, state: Record) -> None:
 
 
 @firmware
-def forget_candidate(table: Record, state: Record, share: float) -> None:
+def forget_candidate(table: Table, state: layout.State, share: float) -> None:
     """Remove the effect of ``share`` of w from θ: θ took the loss for another car."""
     theta, explained = state.mismatch.theta, state.sequential_test.explained
     for i in range(table.mismatch.n):
@@ -157,7 +170,7 @@ def forget_candidate(table: Record, state: Record, share: float) -> None:
 
 
 @firmware
-def lost_share(constants: Record, test: Record) -> float:
+def lost_share(constants: Constants, test: State) -> float:
     """The share of channel 1 that explains ``innovation`` best, by least squares, 0 or above.
 
     Above 1 only if necessary: channel 1 then moves this car more than the model.

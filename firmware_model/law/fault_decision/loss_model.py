@@ -9,37 +9,49 @@ the following ticks. F̂ differentiates, so it gets s as two lags in a row follo
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
 from firmware_model.compiled import firmware
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output, settle
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import MAX_SHOWN_TICKS, Field, Record
+from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
+
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
 
 CONFIRMED = int(FaultState.CONFIRMED)
 
-CONSTANTS = (
-    Field("share_variance", "1", "largest variance of s at the confirmation"),
-    Field("doubt", "1", "variance of s at the confirmation, times its information"),
-    Field("least_doubt", "1", "least variance of s, for a car with another G1"),
-    Field("moment", "1", "deviation of the moment, as a part of the detection time"),
-    Field("follow", "1", "part of the distance to s per tick of a lag"),
-)
-STATE = (
-    Field("channel_1", "y", "state of G1 driven by the lost commands", biquad.STATE),
-    Field(
-        "earlier", "y", "state of G1 driven only by the last command before the loss", biquad.STATE
-    ),
-    Field("share", "1", "s, the lost share of channel 1 at the confirmation"),
-    Field("between", "1", "s behind the first lag"),
-    Field("followed", "1", "s behind the second lag"),
-    Field("previous_output", "y", "w of the last tick"),
-    Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_SHOWN_TICKS,)),
-)
+
+class Constants(Struct):
+    """Constants."""
+
+    share_variance: Annotated[float, "1", "largest variance of s at the confirmation"]
+    doubt: Annotated[float, "1", "variance of s at the confirmation, times its information"]
+    least_doubt: Annotated[float, "1", "least variance of s, for a car with another G1"]
+    moment: Annotated[float, "1", "deviation of the moment, as a part of the detection time"]
+    follow: Annotated[float, "1", "part of the distance to s per tick of a lag"]
+
+
+class State(Struct):
+    """State."""
+
+    channel_1: Annotated[biquad.State, "y", "state of G1 driven by the lost commands"]
+    earlier: Annotated[
+        biquad.State, "y", "state of G1 driven only by the last command before the loss"
+    ]
+    share: Annotated[float, "1", "s, the lost share of channel 1 at the confirmation"]
+    between: Annotated[float, "1", "s behind the first lag"]
+    followed: Annotated[float, "1", "s behind the second lag"]
+    previous_output: Annotated[float, "y", "w of the last tick"]
+    delay: Annotated[FloatArray, "y", "ring of w on its way into d̂", (MAX_SHOWN_TICKS,)]
 
 
 @firmware
-def loss_output(table: Record, state: Record) -> float:
+def loss_output(table: Table, state: layout.State) -> float:
     """Return w of this tick, driven by this tick's command."""
     w: float = output(
         table.estimator.channel_1, state.loss_model.channel_1, lost_command(table, state)
@@ -48,7 +60,7 @@ def loss_output(table: Record, state: Record) -> float:
 
 
 @firmware
-def loss_shown(table: Record, state: Record) -> float:
+def loss_shown(table: Table, state: layout.State) -> float:
     """Return w as contained in d̂ of this tick, late by bus and dead time."""
     if table.estimator.shown_ticks_1 > 0:
         w: float = state.loss_model.delay[state.estimator.shown_index_1]
@@ -57,14 +69,14 @@ def loss_shown(table: Record, state: Record) -> float:
 
 
 @firmware
-def earlier_shown(table: Record, state: Record) -> float:
+def earlier_shown(table: Table, state: layout.State) -> float:
     """Return the change of the delayed w if the confirmed loss were one tick older."""
     zero = real(0.0, state.command_1)
     return output(table.estimator.channel_1, state.loss_model.earlier, zero)
 
 
 @firmware
-def known_share(state: Record) -> float:
+def known_share(state: layout.State) -> float:
     """The present estimate of s, 0..1."""
     return possible_share(state.loss_model.share + state.mismatch.theta[0])
 
@@ -77,7 +89,7 @@ def possible_share(share: float) -> float:
 
 
 @firmware
-def follow_share(constants: Record, state: Record) -> None:
+def follow_share(constants: Constants, state: layout.State) -> None:
     """What F̂ gets of s, a tick later."""
     loss = state.loss_model
     loss.between += constants.follow * (known_share(state) - loss.between)
@@ -85,7 +97,7 @@ def follow_share(constants: Record, state: Record) -> None:
 
 
 @firmware
-def lost_command(table: Record, state: Record) -> float:
+def lost_command(table: Table, state: layout.State) -> float:
     """The command with the lost share s: this tick's command, or zero before a known loss."""
     command: float = state.command_1
     if state.fault_state == CONFIRMED or table.decision.tracks_share:
@@ -94,7 +106,7 @@ def lost_command(table: Record, state: Record) -> float:
 
 
 @firmware
-def advance_loss_model(table: Record, state: Record) -> None:
+def advance_loss_model(table: Table, state: layout.State) -> None:
     """Advance w by this tick's command, computed or held."""
     loss = state.loss_model
     w = advance(table.estimator.channel_1, loss.channel_1, lost_command(table, state))
@@ -105,7 +117,7 @@ def advance_loss_model(table: Record, state: Record) -> None:
 
 
 @firmware
-def take_over_candidate(table: Record, state: Record, share: float, sign: float) -> None:
+def take_over_candidate(table: Table, state: layout.State, share: float, sign: float) -> None:
     """Add the candidate to the loss (``sign`` 1) or subtract the candidate (-1): s w is continuous.
 
     Args:
@@ -129,7 +141,7 @@ def take_over_candidate(table: Record, state: Record, share: float, sign: float)
 
 
 @firmware
-def settle_loss_model(table: Record, state: Record) -> None:
+def settle_loss_model(table: Table, state: layout.State) -> None:
     """Reset to no loss, in the steady state for the command of this tick."""
     clear_loss_model(state)
     loss = state.loss_model
@@ -139,7 +151,7 @@ def settle_loss_model(table: Record, state: Record) -> None:
 
 
 @firmware
-def clear_loss_model(state: Record) -> None:
+def clear_loss_model(state: layout.State) -> None:
     """Nothing is lost."""
     loss = state.loss_model
     loss.channel_1.accumulators[:] = 0.0

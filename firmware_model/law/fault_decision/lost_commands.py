@@ -6,17 +6,26 @@ up for a shortfall. A lost channel, known or not, does not owe a command that ne
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from firmware_model.compiled import firmware
 from firmware_model.law.filters.biquad import advance
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import MAX_SECTIONS, Record, RecordArray
+from firmware_model.law.structs import MAX_SECTIONS, RecordArray
+
+if TYPE_CHECKING:
+    from firmware_model.law.filters import biquad
+    from firmware_model.law.layout import State, Table
+
 
 CONFIRMED = int(FaultState.CONFIRMED)
 
 
 @firmware
-def act(table: Record, state: Record, motion: Record, command_1: float, command_2: float) -> None:
+def act(
+    table: Table, state: State, motion: biquad.State, command_1: float, command_2: float
+) -> None:
     """Let these commands act from the next tick on, in place of the late commands.
 
     Args:
@@ -37,7 +46,7 @@ def act(table: Record, state: Record, motion: Record, command_1: float, command_
 
 
 @firmware
-def lose_command_1(table: Record, state: Record, motion: Record, lost: float) -> None:
+def lose_command_1(table: Table, state: State, motion: biquad.State, lost: float) -> None:
     """Subtract ``lost`` from the acting command 1."""
     constants, test, loss = table.estimator, state.sequential_test, state.loss_model
     owes = state.fault_state == CONFIRMED or table.decision.tracks_share > 0
@@ -60,7 +69,7 @@ def lose_command_1(table: Record, state: Record, motion: Record, lost: float) ->
 
 
 @firmware
-def lose_command_2(table: Record, state: Record, motion: Record, lost: float) -> None:
+def lose_command_2(table: Table, state: State, motion: biquad.State, lost: float) -> None:
     """Subtract ``lost`` from the acting command 2."""
     constants = table.estimator
     first = state.estimator.shown_index_2 - constants.latency_ticks

@@ -31,9 +31,9 @@ close to the model leaves little remainder. A trusted model has no x.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision import covariance
 from firmware_model.law.fault_decision.covariance import (
     LOSS_STATES,
     SIZES,
@@ -44,44 +44,56 @@ from firmware_model.law.fault_decision.covariance import (
     replace_loss,
     variance_of,
 )
+from firmware_model.law.fault_decision.covariance import State as CovarianceState
 from firmware_model.law.precision import real
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import FloatArray, Struct
 
-CONSTANTS = (
-    Field("n", "1", "states: share and moment of a loss, other cars, the remainder", "int32"),
-    Field("prior", "1", "P0, initial variance of each θ; of the remainder 1"),
-    Field("forgetting", "1", "1 - φ of each θ where the car moves", shape=SIZES),
-    Field("growth", "1", "1 - φ², times the variance of θ", shape=SIZES),
-    Field("motion", "1", "(time constant of the remainder/tick)², from changes to extents"),
-    Field("beyond", "1", "variance of the remainder, as a share of M, for cars all over the box"),
-    Field(
-        "rule", "1", "variance of the error of F1's rule, as a share of the change of G1 u1 + G2 u2"
-    ),
-    Field("white", "1", "white share of the remainder's variance"),
-    Field("fading", "1", "factor per tick of M and of the largest extent"),
-    Field("noise", "y²", "variance of the whitened noise of a tick"),
-    Field("colour", "1", "a of the noise, n(k) = a n(k-1) + white"),
-)
-STATE = (
-    Field("x", "y", "x of the last tick", shape=SIZES),
-    Field("regressor", "y", "x of this tick, whitened", shape=SIZES),
-    Field("theta", "1", "θ", shape=SIZES),
-    Field("covariance", "1", "P", covariance.STATE),
-    Field("gain", "1/y", "gain of the last update of θ", shape=SIZES),
-    Field("memory", "1", "φ of each θ in the last update", shape=SIZES),
-    Field("extent", "y²", "fading largest Σ x²"),
-    Field("change", "y²", "M, fading largest Σ (time constant · dx/dt)²"),
-    Field("rule", "y²", "fading part due to F1's rule or to the initial error"),
-    Field("remainder", "y²", "variance of the remainder"),
-    Field("previous_model_output", "y", "G1 u1 + G2 u2 of the last tick"),
-    Field("previous_residual", "y", "d̂ of the last tick, less the known loss"),
-    Field("variance", "y²", "S, of the innovation"),
-)
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
+
+class Constants(Struct):
+    """Constants."""
+
+    n: Annotated[int, "1", "states: share and moment of a loss, other cars, the remainder"]
+    prior: Annotated[float, "1", "P0, initial variance of each θ; of the remainder 1"]
+    forgetting: Annotated[FloatArray, "1", "1 - φ of each θ where the car moves", SIZES]
+    growth: Annotated[FloatArray, "1", "1 - φ², times the variance of θ", SIZES]
+    motion: Annotated[float, "1", "(time constant of the remainder/tick)², from changes to extents"]
+    beyond: Annotated[
+        float, "1", "variance of the remainder, as a share of M, for cars all over the box"
+    ]
+    rule: Annotated[
+        float, "1", "variance of the error of F1's rule, as a share of the change of G1 u1 + G2 u2"
+    ]
+    white: Annotated[float, "1", "white share of the remainder's variance"]
+    fading: Annotated[float, "1", "factor per tick of M and of the largest extent"]
+    noise: Annotated[float, "y²", "variance of the whitened noise of a tick"]
+    colour: Annotated[float, "1", "a of the noise, n(k) = a n(k-1) + white"]
+
+
+class State(Struct):
+    """State."""
+
+    x: Annotated[FloatArray, "y", "x of the last tick", SIZES]
+    regressor: Annotated[FloatArray, "y", "x of this tick, whitened", SIZES]
+    theta: Annotated[FloatArray, "1", "θ", SIZES]
+    covariance: Annotated[CovarianceState, "1", "P"]
+    gain: Annotated[FloatArray, "1/y", "gain of the last update of θ", SIZES]
+    memory: Annotated[FloatArray, "1", "φ of each θ in the last update", SIZES]
+    extent: Annotated[float, "y²", "fading largest Σ x²"]
+    change: Annotated[float, "y²", "M, fading largest Σ (time constant · dx/dt)²"]
+    rule: Annotated[float, "y²", "fading part due to F1's rule or to the initial error"]
+    remainder: Annotated[float, "y²", "variance of the remainder"]
+    previous_model_output: Annotated[float, "y", "G1 u1 + G2 u2 of the last tick"]
+    previous_residual: Annotated[float, "y", "d̂ of the last tick, less the known loss"]
+    variance: Annotated[float, "y²", "S, of the innovation"]
 
 
 @firmware
 def predict_mismatch(
-    table: Record, state: Record, model_output: float, lost: float, earlier: float
+    table: Table, state: layout.State, model_output: float, lost: float, earlier: float
 ) -> None:
     """Compute x of this tick and the part of x in the noise variance.
 
@@ -119,7 +131,7 @@ def predict_mismatch(
 
 
 @firmware
-def difference(table: Record, state: Record) -> float:
+def difference(table: Table, state: State) -> float:
     """Mean square of θ for this car relative to the box; 1 at most."""
     constants, cars = table.mismatch, table.other_cars.n
     zero, one = real(0.0, constants.prior), real(1.0, constants.prior)
@@ -137,7 +149,7 @@ def finite(value: float) -> float:
 
 
 @firmware
-def innovation(constants: Record, state: Record, residual: float) -> float:
+def innovation(constants: Constants, state: State, residual: float) -> float:
     """Return the innovation of ``residual`` (d̂ minus the known loss); θ and P are updated.
 
     Leaves the gain in ``state.gain`` and the innovation's variance in ``state.variance``.
@@ -168,7 +180,7 @@ def innovation(constants: Record, state: Record, residual: float) -> float:
 
 
 @firmware
-def clear_mismatch(constants: Record, state: Record) -> None:
+def clear_mismatch(constants: Constants, state: State) -> None:
     """Forget the car: no knowledge of θ, car at rest."""
     state.x[:] = 0.0
     state.theta[:] = 0.0
@@ -181,7 +193,7 @@ def clear_mismatch(constants: Record, state: Record) -> None:
 
 
 @firmware
-def settle_mismatch(table: Record, state: Record, model_output: float) -> None:
+def settle_mismatch(table: Table, state: layout.State, model_output: float) -> None:
     """The steady state that ``other_cars`` shows; nothing is known of the car."""
     clear_mismatch(table.mismatch, state.mismatch)
     zero = real(0.0, model_output)
@@ -191,7 +203,7 @@ def settle_mismatch(table: Record, state: Record, model_output: float) -> None:
     )
 
 
-def doubt_motion(constants: Record, state: Record, variance: float) -> None:
+def doubt_motion(constants: Constants, state: State, variance: float) -> None:
     """Allow an initial error of y with this ``variance`` that fades with time."""
     state.rule = variance
     if constants.n > LOSS_STATES:
@@ -199,7 +211,7 @@ def doubt_motion(constants: Record, state: Record, variance: float) -> None:
 
 
 @firmware
-def learn_loss(state: Record, share: float, moment: float) -> None:
+def learn_loss(state: State, share: float, moment: float) -> None:
     """From now on learn how far share and moment of a loss are off; nothing, with zeros.
 
     Args:

@@ -12,44 +12,61 @@ For an unstable plant, in coprime factors over the same poles,
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output, settle
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import FloatArray, Struct
 
-CAR = (
-    Field("channel_1", "y/u1", "G1 of this car", biquad.CONSTANTS),
-    Field("channel_2", "y/u2", "G2 of this car", biquad.CONSTANTS),
-    Field("measurement", "1", "M of this car; no section for a stable car", biquad.CONSTANTS),
-)
-CAR_STATE = (
-    Field("channel_1", "y", "its state", biquad.STATE),
-    Field("channel_2", "y", "its state", biquad.STATE),
-    Field("measurement", "y", "its state", biquad.STATE),
-)
-CONSTANTS = (
-    Field("n", "1", "principal directions in use", "int32"),
-    Field("scale", "1", "from a car of this table to the end of the box"),
-    Field("car_1", "1", "the car along the first direction", CAR),
-    Field("car_2", "1", "likewise the second", CAR),
-    Field("car_3", "1", "likewise the third", CAR),
-    Field("car_4", "1", "likewise the fourth", CAR),
-)
-STATE = (
-    Field("model", "y", "the model, driven by the same commands", CAR_STATE),
-    Field("car_1", "y", "the first car", CAR_STATE),
-    Field("car_2", "y", "the second car", CAR_STATE),
-    Field("car_3", "y", "the third car", CAR_STATE),
-    Field("car_4", "y", "the fourth car", CAR_STATE),
-    Field("shown", "y", "x_i of this tick", shape=(MAX_DIRECTIONS,)),
-    Field("command_1", "u1", "command 1 in the measurement, without the known loss"),
-    Field("command_2", "u2", "command 2 likewise"),
-)
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
+
+class Car(Struct):
+    """Constants of one car."""
+
+    channel_1: Annotated[biquad.Constants, "y/u1", "G1 of this car"]
+    channel_2: Annotated[biquad.Constants, "y/u2", "G2 of this car"]
+    measurement: Annotated[biquad.Constants, "1", "M of this car; no section for a stable car"]
+
+
+class CarState(Struct):
+    """State of one car."""
+
+    channel_1: Annotated[biquad.State, "y", "its state"]
+    channel_2: Annotated[biquad.State, "y", "its state"]
+    measurement: Annotated[biquad.State, "y", "its state"]
+
+
+class Constants(Struct):
+    """Constants."""
+
+    n: Annotated[int, "1", "principal directions in use"]
+    scale: Annotated[float, "1", "from a car of this table to the end of the box"]
+    car_1: Annotated[Car, "1", "the car along the first direction"]
+    car_2: Annotated[Car, "1", "likewise the second"]
+    car_3: Annotated[Car, "1", "likewise the third"]
+    car_4: Annotated[Car, "1", "likewise the fourth"]
+
+
+class State(Struct):
+    """State."""
+
+    model: Annotated[CarState, "y", "the model, driven by the same commands"]
+    car_1: Annotated[CarState, "y", "the first car"]
+    car_2: Annotated[CarState, "y", "the second car"]
+    car_3: Annotated[CarState, "y", "the third car"]
+    car_4: Annotated[CarState, "y", "the fourth car"]
+    shown: Annotated[FloatArray, "y", "x_i of this tick", (MAX_DIRECTIONS,)]
+    command_1: Annotated[float, "u1", "command 1 in the measurement, without the known loss"]
+    command_2: Annotated[float, "u2", "command 2 likewise"]
 
 
 @firmware
-def show_other_cars(table: Record, state: Record, command_1: float, command_2: float) -> None:
+def show_other_cars(table: Table, state: layout.State, command_1: float, command_2: float) -> None:
     """Return x of this tick; these commands begin to act on the measurement."""
     cars, own, shown = table.other_cars, state.other_cars, state.other_cars.shown
     own.command_1, own.command_2 = command_1, command_2
@@ -70,7 +87,7 @@ def show_other_cars(table: Record, state: Record, command_1: float, command_2: f
 
 
 @firmware
-def advance_other_cars(table: Record, state: Record) -> None:
+def advance_other_cars(table: Table, state: layout.State) -> None:
     """Advance every car by the commands of ``show_other_cars``, or what became of command 2."""
     cars, own, y = table.other_cars, state.other_cars, state.estimator.measured
     if table.estimator.shown_ticks_2 == 0:
@@ -89,7 +106,9 @@ def advance_other_cars(table: Record, state: Record) -> None:
 
 
 @firmware
-def settle_other_cars(table: Record, state: Record, command_1: float, command_2: float) -> None:
+def settle_other_cars(
+    table: Table, state: layout.State, command_1: float, command_2: float
+) -> None:
     """The steady state for constant commands."""
     cars, own, y = table.other_cars, state.other_cars, state.estimator.measured
     settle(table.estimator.channel_1, own.model.channel_1, command_1)
@@ -103,7 +122,7 @@ def settle_other_cars(table: Record, state: Record, command_1: float, command_2:
 
 
 @firmware
-def clear_other_cars(state: Record) -> None:
+def clear_other_cars(state: layout.State) -> None:
     """Every car is at rest."""
     own = state.other_cars
     clear_car(own.model)
@@ -116,7 +135,7 @@ def clear_other_cars(state: Record) -> None:
 
 
 @firmware
-def car_output(car: Record, state: Record, u1: float, u2: float, y: float) -> float:
+def car_output(car: Car, state: CarState, u1: float, u2: float, y: float) -> float:
     """What a car explains of ``y``: G1 u1 + G2 u2, or N1 u1 + N2 u2 less M y."""
     explained: float = output(car.channel_1, state.channel_1, u1)
     explained += output(car.channel_2, state.channel_2, u2)
@@ -126,7 +145,7 @@ def car_output(car: Record, state: Record, u1: float, u2: float, y: float) -> fl
 
 
 @firmware
-def advance_car(car: Record, state: Record, u1: float, u2: float, y: float) -> None:
+def advance_car(car: Car, state: CarState, u1: float, u2: float, y: float) -> None:
     """A tick on."""
     advance(car.channel_1, state.channel_1, u1)
     advance(car.channel_2, state.channel_2, u2)
@@ -134,7 +153,7 @@ def advance_car(car: Record, state: Record, u1: float, u2: float, y: float) -> N
 
 
 @firmware
-def settle_car(car: Record, state: Record, u1: float, u2: float, y: float) -> None:
+def settle_car(car: Car, state: CarState, u1: float, u2: float, y: float) -> None:
     """Its steady state."""
     settle(car.channel_1, state.channel_1, u1)
     settle(car.channel_2, state.channel_2, u2)
@@ -142,7 +161,7 @@ def settle_car(car: Record, state: Record, u1: float, u2: float, y: float) -> No
 
 
 @firmware
-def clear_car(state: Record) -> None:
+def clear_car(state: CarState) -> None:
     """At rest."""
     state.channel_1.accumulators[:] = 0.0
     state.channel_2.accumulators[:] = 0.0

@@ -15,26 +15,33 @@ Only half of the phase, φ = ½ωkT, is kept: sin ωkT = 2 sin φ cos φ, cos ω
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import FloatArray, Struct
 
-CONSTANTS = (
-    Field("ticks", "tick", "duration of a probe; 0: none", "int32"),
-    Field("amplitude", "u1", "half of a, the amplitude of the sine"),
-    Field("least_share", "1", "least missing part of the torque for a confirmed loss"),
-    Field("rotation", "1", "of φ in a tick: cosine, sine", shape=(2,)),
-)
-STATE = (
-    Field("tick", "tick", "tick of the running probe, from 1 on; 0: no probe", "int32"),
-    Field("cosine", "1", "cos φ"),
-    Field("sine", "1", "sin φ"),
-    Field("correlation", "y", "Re D, -Im D, Re W, -Im W", shape=(4,)),
-)
+
+class Constants(Struct):
+    """Constants."""
+
+    ticks: Annotated[int, "tick", "duration of a probe; 0: none"]
+    amplitude: Annotated[float, "u1", "half of a, the amplitude of the sine"]
+    least_share: Annotated[float, "1", "least missing part of the torque for a confirmed loss"]
+    rotation: Annotated[FloatArray, "1", "of φ in a tick: cosine, sine", (2,)]
+
+
+class State(Struct):
+    """State."""
+
+    tick: Annotated[int, "tick", "tick of the running probe, from 1 on; 0: no probe"]
+    cosine: Annotated[float, "1", "cos φ"]
+    sine: Annotated[float, "1", "sin φ"]
+    correlation: Annotated[FloatArray, "y", "Re D, -Im D, Re W, -Im W", (4,)]
 
 
 @firmware
-def begin_probe(state: Record) -> None:
+def begin_probe(state: State) -> None:
     """Start a probe with the next tick."""
     state.tick = 1
     state.cosine = 1.0
@@ -43,7 +50,7 @@ def begin_probe(state: Record) -> None:
 
 
 @firmware
-def phase(state: Record) -> tuple[float, float, float]:
+def phase(state: State) -> tuple[float, float, float]:
     """cos ωkT, sin ωkT, and the window 1 - cos ½ωkT."""
     cos, sin = state.cosine, state.sine
     cosine, sine = cos * cos - sin * sin, sin * cos + sin * cos
@@ -52,7 +59,7 @@ def phase(state: Record) -> tuple[float, float, float]:
 
 
 @firmware
-def probe_torque(constants: Record, state: Record) -> float:
+def probe_torque(constants: Constants, state: State) -> float:
     """The probe's addition to command 1 in this tick."""
     _, sin, window = phase(state)
     torque: float = constants.amplitude * window * sin
@@ -60,7 +67,7 @@ def probe_torque(constants: Record, state: Record) -> float:
 
 
 @firmware
-def correlate(constants: Record, state: Record, estimate: float, lost: float) -> bool:
+def correlate(constants: Constants, state: State, estimate: float, lost: float) -> bool:
     """Add d̂ and w of this tick and turn the phase; return whether the probe is over."""
     cos, sin, _ = phase(state)
     correlation = state.correlation
@@ -77,7 +84,7 @@ def correlate(constants: Record, state: Record, estimate: float, lost: float) ->
 
 
 @firmware
-def end_probe(state: Record) -> float:
+def end_probe(state: State) -> float:
     """End the probe and return the missing part of the torque."""
     state.tick = 0
     d, w = state.correlation[:2], state.correlation[2:]

@@ -9,27 +9,43 @@ A table with a duration of 0 only reports the verdict and goes on.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
 from firmware_model.compiled import firmware
 from firmware_model.law.actuator import command_possible
 from firmware_model.law.precision import real
 from firmware_model.law.status import Verdict
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import Struct
+
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
 
 BOTH_LOST = int(Verdict.BOTH_LOST)
 
-CONSTANTS = (Field("duration", "tick", "duration of the way to zero; 0: the commands go on"),)
-STATE = (Field("elapsed", "tick", "ticks since the start of the way to zero"),)
+
+class Constants(Struct):
+    """Constants."""
+
+    duration: Annotated[float, "tick", "duration of the way to zero; 0: the commands go on"]
+
+
+class State(Struct):
+    """State."""
+
+    elapsed: Annotated[float, "tick", "ticks since the start of the way to zero"]
 
 
 @firmware
-def stops(table: Record, state: Record) -> bool:
+def stops(table: Table, state: layout.State) -> bool:
     """Whether both actuators have been found lost, and the commands have to go."""
     lost: bool = state.hypotheses.verdict == BOTH_LOST and table.safe_stop.duration > 0.0
     return lost
 
 
 @firmware
-def take_commands_back(table: Record, state: Record) -> None:
+def take_commands_back(table: Table, state: layout.State) -> None:
     """A tick nearer to zero."""
     own, one = state.safe_stop, real(1.0, state.command_1)
     left = table.safe_stop.duration - own.elapsed

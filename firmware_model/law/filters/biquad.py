@@ -10,28 +10,37 @@ is one filter.
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from firmware_model.compiled import firmware
-from firmware_model.law.structs import MAX_SECTIONS, Field, Precision, Record, record_type
-
-CONSTANTS = (
-    Field(
-        "coefficients", "output/input", "β0, β1, β2, α1, α2, a row a section",
-        shape=(MAX_SECTIONS, 5),
-    ),
-    Field("n", "1", "number of sections in use", "int32"),
-)  # fmt: skip
-STATE = (Field("accumulators", "output", "s1, s2, a row a section", shape=(MAX_SECTIONS, 2)),)
+from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Precision, Struct, record_type
 
 
-def at_rest(precision: Precision = "float64") -> Record:
+class Constants(Struct):
+    """Constants."""
+
+    coefficients: Annotated[
+        FloatArray, "output/input", "β0, β1, β2, α1, α2, a row a section", (MAX_SECTIONS, 5)
+    ]
+    n: Annotated[int, "1", "number of sections in use"]
+
+
+class State(Struct):
+    """State."""
+
+    accumulators: Annotated[FloatArray, "output", "s1, s2, a row a section", (MAX_SECTIONS, 2)]
+
+
+def at_rest(precision: Precision = "float64") -> State:
     """Return the state of a cascade at rest, for a cascade outside the law."""
-    return np.zeros(1, record_type(STATE, precision))[0]
+    state: State = np.zeros(1, record_type(State, precision))[0]
+    return state
 
 
 @firmware
-def output(cascade: Record, state: Record, u: float) -> float:
+def output(cascade: Constants, state: State, u: float) -> float:
     """Return the answer to ``u`` in this tick; the state does not change."""
     coefficients, s = cascade.coefficients, state.accumulators
     for i in range(cascade.n):
@@ -40,7 +49,7 @@ def output(cascade: Record, state: Record, u: float) -> float:
 
 
 @firmware
-def advance(cascade: Record, state: Record, u: float) -> float:
+def advance(cascade: Constants, state: State, u: float) -> float:
     """The same answer, and the state one tick later."""
     coefficients, s = cascade.coefficients, state.accumulators
     for i in range(cascade.n):
@@ -52,7 +61,7 @@ def advance(cascade: Record, state: Record, u: float) -> float:
 
 
 @firmware
-def settle(cascade: Record, state: Record, u: float) -> float:
+def settle(cascade: Constants, state: State, u: float) -> float:
     """Put the cascade into its steady state for a constant input ``u``; returns the output.
 
     A section that integrates has no steady state unless ``u`` is zero: it is left at rest.

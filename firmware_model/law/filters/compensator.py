@@ -9,14 +9,23 @@ With a held-input estimator, or any latency, the gain is 0.
 
 from __future__ import annotations
 
-from firmware_model.law.filters import biquad
-from firmware_model.law.structs import Field
+from typing import Annotated
 
-CONSTANTS = (
-    Field("filter", "u2/y", "F̂", biquad.CONSTANTS),
-    Field("feedthrough", "u2/y", "of F̂ to the same tick"),
-    Field("loop_inverse", "1", "1/(1 - gain of the algebraic loop)"),
-    Field("reference_share", "u2/y", "of the reference, that goes to channel 2 directly"),
-    Field("on_confirmation", "1", "1: F̂ acts on a confirmed loss; 0, the thesis: always", "int32"),
-)
-STATE = (Field("filter", "u2", "state of F̂", biquad.STATE),)
+from firmware_model.law.filters import biquad
+from firmware_model.law.structs import Struct
+
+
+class Constants(Struct):
+    """Constants."""
+
+    filter: Annotated[biquad.Constants, "u2/y", "F̂"]
+    feedthrough: Annotated[float, "u2/y", "of F̂ to the same tick"]
+    loop_inverse: Annotated[float, "1", "1/(1 - gain of the algebraic loop)"]
+    reference_share: Annotated[float, "u2/y", "of the reference, that goes to channel 2 directly"]
+    on_confirmation: Annotated[int, "1", "1: F̂ acts on a confirmed loss; 0, the thesis: always"]
+
+
+class State(Struct):
+    """State."""
+
+    filter: Annotated[biquad.State, "u2", "state of F̂"]

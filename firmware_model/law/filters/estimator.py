@@ -10,50 +10,59 @@ then waits for the dead time of the channel plus the dead time of the sensor.
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from firmware_model.compiled import firmware
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output, settle
 from firmware_model.law.precision import real
-from firmware_model.law.structs import MAX_LATENCY_TICKS, Field, Record
+from firmware_model.law.structs import MAX_LATENCY_TICKS, FloatArray, Struct
 
 RING = (MAX_LATENCY_TICKS,)
 
-CONSTANTS = (
-    Field("channel_1", "y/u1", "G1", biquad.CONSTANTS),
-    Field("channel_2", "y/u2", "G2", biquad.CONSTANTS),
-    Field("one_plus_q", "1", "1 + Q", biquad.CONSTANTS),
-    Field("measurement", "1", "M; no section, for 1, where the plant is stable", biquad.CONSTANTS),
-    Field("feedthrough_2", "y/u2", "of G2 to the same tick; 0 with any latency or dead time"),
-    Field("one_plus_q_feedthrough", "1", "of 1 + Q to the same tick"),
-    Field("latency_ticks", "tick", "from a sample until its command is at its actuator", "int32"),
-    Field("dead_ticks_1", "tick", "dead time of channel 1, from there until G1", "int32"),
-    Field("dead_ticks_2", "tick", "dead time of channel 2, from there until G2", "int32"),
-    Field("shown_ticks_1", "tick", "from a sample until its command 1 is at G1", "int32"),
-    Field("shown_ticks_2", "tick", "from a sample until its command 2 is at G2", "int32"),
-)
-STATE = (
-    Field("channel_1", "y", "state of G1", biquad.STATE),
-    Field("channel_2", "y", "state of G2", biquad.STATE),
-    Field("one_plus_q", "y", "state of 1 + Q", biquad.STATE),
-    Field("measurement", "y", "state of M", biquad.STATE),
-    Field("measured", "y", "y of this tick, or the expected y without a measurement"),
-    Field("delay_1", "u1", "ring of commands on their way to the plant", shape=RING),
-    Field("delay_2", "u2", "ring of commands on their way to the plant", shape=RING),
-    Field("delay_index", "1", "index of the next acting command in the rings", "int32"),
-    Field("dead_1", "u1", "ring of commands in the dead time of channel 1", shape=RING),
-    Field("dead_2", "u2", "ring of commands in the dead time of channel 2", shape=RING),
-    Field("dead_index_1", "1", "index of G1's next command in the ring", "int32"),
-    Field("dead_index_2", "1", "index of G2's next command in the ring", "int32"),
-    Field("showing_1", "u1", "command 1 visible in this tick's measurement"),
-    Field("showing_2", "u2", "command 2 likewise"),
-    Field("shown_index_1", "1", "index of the next visible output in the rings of G1", "int32"),
-    Field("shown_index_2", "1", "index of the next visible output in the rings of G2", "int32"),
-)  # fmt: skip
+
+class Constants(Struct):
+    """Constants."""
+
+    channel_1: Annotated[biquad.Constants, "y/u1", "G1"]
+    channel_2: Annotated[biquad.Constants, "y/u2", "G2"]
+    one_plus_q: Annotated[biquad.Constants, "1", "1 + Q"]
+    measurement: Annotated[biquad.Constants, "1", "M; no section, for 1, where the plant is stable"]
+    feedthrough_2: Annotated[
+        float, "y/u2", "of G2 to the same tick; 0 with any latency or dead time"
+    ]
+    one_plus_q_feedthrough: Annotated[float, "1", "of 1 + Q to the same tick"]
+    latency_ticks: Annotated[int, "tick", "from a sample until its command is at its actuator"]
+    dead_ticks_1: Annotated[int, "tick", "dead time of channel 1, from there until G1"]
+    dead_ticks_2: Annotated[int, "tick", "dead time of channel 2, from there until G2"]
+    shown_ticks_1: Annotated[int, "tick", "from a sample until its command 1 is at G1"]
+    shown_ticks_2: Annotated[int, "tick", "from a sample until its command 2 is at G2"]
+
+
+class State(Struct):
+    """State."""
+
+    channel_1: Annotated[biquad.State, "y", "state of G1"]
+    channel_2: Annotated[biquad.State, "y", "state of G2"]
+    one_plus_q: Annotated[biquad.State, "y", "state of 1 + Q"]
+    measurement: Annotated[biquad.State, "y", "state of M"]
+    measured: Annotated[float, "y", "y of this tick, or the expected y without a measurement"]
+    delay_1: Annotated[FloatArray, "u1", "ring of commands on their way to the plant", RING]
+    delay_2: Annotated[FloatArray, "u2", "ring of commands on their way to the plant", RING]
+    delay_index: Annotated[int, "1", "index of the next acting command in the rings"]
+    dead_1: Annotated[FloatArray, "u1", "ring of commands in the dead time of channel 1", RING]
+    dead_2: Annotated[FloatArray, "u2", "ring of commands in the dead time of channel 2", RING]
+    dead_index_1: Annotated[int, "1", "index of G1's next command in the ring"]
+    dead_index_2: Annotated[int, "1", "index of G2's next command in the ring"]
+    showing_1: Annotated[float, "u1", "command 1 visible in this tick's measurement"]
+    showing_2: Annotated[float, "u2", "command 2 likewise"]
+    shown_index_1: Annotated[int, "1", "index of the next visible output in the rings of G1"]
+    shown_index_2: Annotated[int, "1", "index of the next visible output in the rings of G2"]
 
 
 @firmware
 def model_output(
-    constants: Record, state: Record, command_1: float, command_2: float
+    constants: Constants, state: State, command_1: float, command_2: float
 ) -> tuple[float, float]:
     """Return the modelled G1 u1 and G2 u2 in the measurement of this tick.
 
@@ -74,7 +83,7 @@ def model_output(
 
 
 @firmware
-def advance_model(constants: Record, state: Record, command_1: float, command_2: float) -> None:
+def advance_model(constants: Constants, state: State, command_1: float, command_2: float) -> None:
     """Queue the commands of this tick; advance the model by the acting commands."""
     u1, u2 = command_1, command_2
     if constants.latency_ticks > 0:
@@ -105,7 +114,7 @@ def advance_model(constants: Record, state: Record, command_1: float, command_2:
 
 
 @firmware
-def take_measurement(constants: Record, state: Record, measurement: float) -> float:
+def take_measurement(constants: Constants, state: State, measurement: float) -> float:
     """M y of this tick."""
     state.measured = measurement
     shown: float = advance(constants.measurement, state.measurement, measurement)
@@ -113,7 +122,7 @@ def take_measurement(constants: Record, state: Record, measurement: float) -> fl
 
 
 @firmware
-def expect_measurement(constants: Record, state: Record, shown: float) -> None:
+def expect_measurement(constants: Constants, state: State, shown: float) -> None:
     """Pass a tick without a measurement: M gets a y with M y = ``shown``."""
     cascade, own = constants.measurement, state.measurement
     if cascade.n > 0:
@@ -125,7 +134,7 @@ def expect_measurement(constants: Record, state: Record, shown: float) -> None:
 
 @firmware
 def settle_estimator(
-    constants: Record, state: Record, command_1: float, command_2: float, level: float
+    constants: Constants, state: State, command_1: float, command_2: float, level: float
 ) -> None:
     """The steady state of a healthy plant for constant commands: d̂ = 0.
 
@@ -152,7 +161,7 @@ def settle_estimator(
 
 
 @firmware
-def clear_estimator(state: Record) -> None:
+def clear_estimator(state: State) -> None:
     """Empty the filters; queued commands stay."""
     state.channel_1.accumulators[:] = 0.0
     state.channel_2.accumulators[:] = 0.0
@@ -161,7 +170,7 @@ def clear_estimator(state: Record) -> None:
 
 
 @firmware
-def pending_command(constants: Record, state: Record, i: int) -> float:
+def pending_command(constants: Constants, state: State, i: int) -> float:
     """The ``i``-th of the ``shown_ticks_1`` commands 1 on their way to G1, the next one first."""
     dead, latency = constants.dead_ticks_1, constants.latency_ticks
     if i < dead:

@@ -15,22 +15,38 @@ within a tick: under a rate limit the asked command must stay in reach.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
 from firmware_model.compiled import firmware
 from firmware_model.law.filters import biquad
 from firmware_model.law.precision import real
-from firmware_model.law.structs import MAX_SECTIONS, Field, Record
+from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Struct
 
-CONSTANTS = (
-    Field(
-        "gain", "command/y", "v for each accumulator of the model: the best make-up of a tick",
-        shape=(MAX_SECTIONS, 2),
-    ),
-)  # fmt: skip
-STATE = biquad.STATE  # of G driven by asked - possible
+if TYPE_CHECKING:
+    from firmware_model.law import actuator
+
+
+class Constants(Struct):
+    """Constants."""
+
+    gain: Annotated[
+        FloatArray,
+        "command/y",
+        "v for each accumulator of the model: the best make-up of a tick",
+        (MAX_SECTIONS, 2),
+    ]
+
+
+State = biquad.State  # of G driven by asked - possible
 
 
 @firmware
-def make_up(constants: Record, cascade: Record, actuator: Record, state: Record) -> float:
+def make_up(
+    constants: Constants,
+    cascade: biquad.Constants,
+    actuator: actuator.Constants,
+    state: biquad.State,
+) -> float:
     """Return the make-up, an addition to this tick's asked command.
 
     Args:

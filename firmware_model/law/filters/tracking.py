@@ -19,29 +19,42 @@ u1 = Q (r - y + N1 u1) + R u1 (``design.continuous_design``). Then limits have t
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
 from firmware_model.compiled import firmware
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output, settle
 from firmware_model.law.precision import real
-from firmware_model.law.structs import MAX_SHOWN_TICKS, Field, Record
+from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
 
-CONSTANTS = (
-    Field("filter", "u1/y", "Q; 1 in the open loop", biquad.CONSTANTS),
-    Field("feedback", "1", "1: Q works on r - y + G1 u1; 0, the open loop: on r"),
-    Field("stabiliser", "1", "R; no section where the plant is stable", biquad.CONSTANTS),
-    Field("excuses_limits", "1", "1: make-up of shortfalls; 0: unstable plant"),
-    Field("loop_inverse", "1", "1/(1 - gain of the loop u1 → G1 u1 → u1 within a tick)"),
-)
-STATE = (
-    Field("filter", "u1", "state of Q", biquad.STATE),
-    Field("stabiliser", "u1", "state of R", biquad.STATE),
-    Field("error", "y", "r - y + G1 u1 of the last tick with inputs"),
-    Field("delay", "y", "ring of G2 (asked - possible) on its way", shape=(MAX_SHOWN_TICKS,)),
-)
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
+
+class Constants(Struct):
+    """Constants."""
+
+    filter: Annotated[biquad.Constants, "u1/y", "Q; 1 in the open loop"]
+    feedback: Annotated[float, "1", "1: Q works on r - y + G1 u1; 0, the open loop: on r"]
+    stabiliser: Annotated[biquad.Constants, "1", "R; no section where the plant is stable"]
+    excuses_limits: Annotated[float, "1", "1: make-up of shortfalls; 0: unstable plant"]
+    loop_inverse: Annotated[float, "1", "1/(1 - gain of the loop u1 → G1 u1 → u1 within a tick)"]
+
+
+class State(Struct):
+    """State."""
+
+    filter: Annotated[biquad.State, "u1", "state of Q"]
+    stabiliser: Annotated[biquad.State, "u1", "state of R"]
+    error: Annotated[float, "y", "r - y + G1 u1 of the last tick with inputs"]
+    delay: Annotated[
+        FloatArray, "y", "ring of G2 (asked - possible) on its way", (MAX_SHOWN_TICKS,)
+    ]
 
 
 @firmware
-def missing_output(table: Record, state: Record) -> float:
+def missing_output(table: Table, state: layout.State) -> float:
     """Return G2 (asked - possible) in the measurement of this tick."""
     if table.estimator.shown_ticks_2 > 0:
         missing: float = state.tracking.delay[state.estimator.shown_index_2]
@@ -51,7 +64,7 @@ def missing_output(table: Record, state: Record) -> float:
 
 
 @firmware
-def asked_torque(constants: Record, state: Record, error: float) -> float:
+def asked_torque(constants: Constants, state: State, error: float) -> float:
     """Return u1 for ``error`` = r - y + G1 u1, with G1 u1 before this tick's command."""
     torque: float = output(constants.filter, state.filter, error)
     if constants.stabiliser.n > 0:
@@ -61,7 +74,7 @@ def asked_torque(constants: Record, state: Record, error: float) -> float:
 
 
 @firmware
-def track(constants: Record, state: Record, error: float, command: float) -> None:
+def track(constants: Constants, state: State, error: float, command: float) -> None:
     """Advance Q by ``error`` = r - y + G1 u1, this tick's command included as it was limited."""
     state.error = error
     advance(constants.filter, state.filter, error)
@@ -70,7 +83,7 @@ def track(constants: Record, state: Record, error: float, command: float) -> Non
 
 
 @firmware
-def track_on(constants: Record, state: Record, command: float) -> float:
+def track_on(constants: Constants, state: State, command: float) -> float:
     """Pass a tick without inputs as if C saw no change; return the command that C would ask for."""
     torque: float = advance(constants.filter, state.filter, state.error)
     if constants.stabiliser.n > 0:
@@ -79,7 +92,7 @@ def track_on(constants: Record, state: Record, command: float) -> float:
 
 
 @firmware
-def advance_shortfalls(table: Record, state: Record, short_1: float, short_2: float) -> None:
+def advance_shortfalls(table: Table, state: layout.State, short_1: float, short_2: float) -> None:
     """Advance the shortfalls of both channels by this tick's asked - possible."""
     counts = table.tracking.excuses_limits
     advance(table.estimator.channel_1, state.shortfall_1, short_1 * counts)
@@ -89,7 +102,7 @@ def advance_shortfalls(table: Record, state: Record, short_1: float, short_2: fl
 
 
 @firmware
-def settle_tracking(constants: Record, state: Record, reference: float) -> float:
+def settle_tracking(constants: Constants, state: State, reference: float) -> float:
     """The steady state where M y is ``reference``, of a plant that is the model; the command."""
     state.delay[:] = 0.0
     state.error = reference

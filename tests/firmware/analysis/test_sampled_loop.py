@@ -22,7 +22,6 @@ from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import ParameterError
-from firmware_model.law.structs import Record
 from tests.firmware.law.cases import changed
 
 pytestmark = pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
@@ -39,7 +38,7 @@ Matrices = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]
 
 
 def loop_of(
-    table: Record, plant: Plant, tick_s: float, left: tuple[float, float] = HEALTHY, late: float = 0
+    table: Any, plant: Plant, tick_s: float, left: tuple[float, float] = HEALTHY, late: float = 0
 ) -> SampledLoop:
     return sampled_loop(linear_controller(table), plant, tick_s, left, late)
 

@@ -8,9 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from firmware_model.analysis.changing_plant import changing_plant, follow_changing
 from firmware_model.analysis.hardware import EXACT_FRAMES, GAIN, HEALTHY, SENSOR, SLEW, frame_of
+from firmware_model.analysis.pushed_plant import follow_pushed, pushed_plant
 from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, sample
 from firmware_model.analysis.simulation import Simulation, Trace, simulate
+from firmware_model.analysis.world_loop import run_changing, run_pushed
+from firmware_model.design.actuator_dynamics import IDEAL
+from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
@@ -206,3 +211,93 @@ def test_a_restarted_controller_hears_the_speed_anew() -> None:
         fresh.change_speed(speed[tick])
         answer = fresh.step(REFERENCE[tick], loop.trace.measured[tick])
         assert answer.command_1 == loop.trace.command_1[tick]
+
+
+class AsAnyController:
+    """The firmware as a controller of another kind."""
+
+    latency_ticks = LATENCY
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        self.firmware = Firmware(TABLE)
+
+    def answer(
+        self, reference: float, measurement: float, speed: float
+    ) -> tuple[float, float, float, int, int, int]:
+        assert np.isnan(speed)
+        return self.firmware.step(reference, measurement)
+
+
+@pytest.mark.every_case
+@pytest.mark.parametrize("keeps", [False, True])
+@pytest.mark.parametrize("restarts", [(), (20,)])
+def test_the_firmware_as_any_controller_gives_the_bits_of_the_law(
+    restarts: tuple[int, ...], keeps: bool
+) -> None:
+    for plant in (lambda: sample(CAR, TICK_S), Recorded):
+        law = simulate(TABLE, plant(), REFERENCE, tick_s=TICK_S, restarts=restarts)
+        keeps_states = keeps and plant is not Recorded
+        other = simulate(
+            AsAnyController(), plant(), REFERENCE, tick_s=TICK_S, restarts=restarts,
+            keeps_states=keeps_states,
+        )  # fmt: skip
+        for name in ("measurement", "command_1", "command_2", "fault_estimate", "fault_state"):
+            np.testing.assert_array_equal(getattr(other, name), getattr(law, name))
+        assert np.abs(law.command_1).max() > 0.0
+
+
+class Pushed:
+    """A car in the world, whose ticks the loop compiles."""
+
+    def __init__(self, changes: bool) -> None:
+        world = 50.0 * np.random.default_rng(2).normal(size=(TICKS + 1, 4))
+        self.tick, self.more = 0, ()
+        if not changes:
+            pushed = pushed_plant(CAR, TICK_S)
+            self.constants, self.memory, self.world = pushed.constants, pushed.sampled.memory, world
+            self.one, self.many = follow_pushed, run_pushed
+            return
+        made = changing_plant(TABLE_3_2, "physics", (IDEAL, IDEAL, IDEAL), 40.0, TICK_S)
+        n = len(made.b)
+        self.memory = np.zeros(n), np.zeros(n), np.zeros((2, 2)), np.zeros(1)
+        self.constants, self.world = made.constants, np.hstack([world, np.ones((TICKS + 1, 2))])
+        self.more = made.work, made.speeds(lambda time_s: 10.0 + 0.0 * time_s, range(TICKS))
+        self.one, self.many = follow_changing, run_changing
+
+    def follow(self, *commands: float) -> tuple[float, float]:
+        k = self.tick
+        self.tick += 1
+        world = self.world[k : k + 2]
+        if not self.more:
+            return self.one(self.constants, self.memory, k, *commands, world)
+        work, speeds = self.more
+        return self.one(self.constants, self.memory, work, speeds[k], k, *commands, world)
+
+    def run_loop(
+        self, loop: Any, begin: int, end: int, output: tuple[float, float]
+    ) -> tuple[float, float]:
+        world = self.world[begin : end + 1]
+        more = (self.more[0], self.more[1][begin:end]) if self.more else ()
+        return self.many(loop, begin, end, *output, self.constants, self.memory, 0, world, *more)
+
+
+class OneByOne:
+    """The same car, tick by tick."""
+
+    def __init__(self, changes: bool) -> None:
+        self.follow = Pushed(changes).follow
+
+
+@pytest.mark.every_case
+@pytest.mark.parametrize("changes", [False, True])
+def test_compiled_ticks_of_a_car_in_the_world_have_the_bits_of_single_ticks(changes: bool) -> None:
+    together = Simulation(TABLE, Pushed(changes), REFERENCE, tick_s=TICK_S)
+    for until in (0, 7, TICKS):
+        together.run(until)
+    single = simulate(TABLE, OneByOne(changes), REFERENCE, tick_s=TICK_S)
+    for name in ("measurement", "measured", "command_1", "command_2", "fault_estimate"):
+        np.testing.assert_array_equal(getattr(together.trace, name), getattr(single, name))
+    assert np.abs(single.measurement).max() > 0.0

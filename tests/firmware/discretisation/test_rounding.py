@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation import rounding
 from firmware_model.discretisation.rounding import (
     ROUNDING,
+    of_held,
     of_sections,
     of_system,
     run_error,
@@ -166,3 +168,15 @@ def test_a_rounding_is_half_of_the_last_digit() -> None:
         assert ROUNDING[precision] == np.finfo(precision).eps / 2
     made = Sections(np.array([[1.0, 0.0, 0.0, 0.5, 0.0]]), TICK_S)
     assert run_error(made, 5) == run_error(made, 5, "float32")
+
+
+def test_a_gain_is_rounded_once() -> None:
+    found = of_held(ZeroPoleGain((), (), -3.0), TICK_S, np.array([1j, 2.0 + 0j]))
+    np.testing.assert_array_equal(found, [3.0, 3.0])
+
+
+def test_a_zero_found_on_a_pole_has_no_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The exact place of a zero is a matter of the host's linear algebra."""
+    monkeypatch.setattr(rounding, "zeros_of", lambda system, through, poles: poles)
+    g = ZeroPoleGain((-3.0,), (-1.0,), 1.0)
+    assert np.isinf(of_held(g, 1.0, np.array([0.5 + 0j]))).all()

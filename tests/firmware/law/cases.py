@@ -10,7 +10,7 @@ from firmware_model.design.mismatch import Channels, Mismatch, principal_mismatc
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.vehicle import VehicleParameters
 from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS, MAX_STATES
-from firmware_model.law.structs import FloatArray, Record, RecordArray
+from firmware_model.law.structs import FloatArray, RecordArray
 
 NOMINAL = VehicleParameters()
 CAR = steer_by_wire(NOMINAL)
@@ -39,7 +39,7 @@ def other_cars(parameters: int = 3) -> Mismatch:
     return principal_mismatch(channels_at, parameters, 0.05, 1, MAX_DIRECTIONS)
 
 
-def changed(table: Record, **numbers: dict[str, Any]) -> RecordArray:
+def changed(table: Any, **numbers: dict[str, Any]) -> RecordArray:
     """A copy, shape (1,), with other numbers: ``decision={"confirm": 4.0}``."""
     tables = np.zeros(1, table.dtype)
     tables[0] = table
@@ -49,7 +49,7 @@ def changed(table: Record, **numbers: dict[str, Any]) -> RecordArray:
     return tables
 
 
-def covariance_of(mismatch: Record) -> FloatArray:
+def covariance_of(mismatch: Any) -> FloatArray:
     """P of its filter, from the factors."""
     factor = np.triu(mismatch.covariance.upper, 1) + np.eye(MAX_STATES)
     return np.asarray(factor * mismatch.covariance.variances @ factor.T)

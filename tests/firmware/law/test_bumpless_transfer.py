@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer, release, transfer
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import Record
 
 TICK_S, LOST = 1e-3, 600
 CAR = steer_by_wire()
@@ -31,7 +31,7 @@ def late(noise_rms: float = 0.0) -> Target:
     return Target(TICK_S, 1, "zoh", limit_2=1e5, noise_rms=noise_rms, on_confirmation=True)
 
 
-def begun(missed: float, speed: float) -> tuple[Record, Record]:
+def begun(missed: float, speed: float) -> tuple[Any, Any]:
     table = build(DESIGN, late())
     state = controller.init(table)[0]
     begin_transfer(table.bumpless_transfer, state.bumpless_transfer, missed, speed)

@@ -19,7 +19,6 @@ from firmware_model.law.fault_decision.likelihood_ratio import (
     update_test,
 )
 from firmware_model.law.filters.biquad import advance, output
-from firmware_model.law.structs import Record
 from tests.firmware.law.cases import CAR, TICK_S, changed
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
@@ -27,7 +26,7 @@ NUMBERS = {"freshness": 0.125, "needed": 100.0, "promising": 4.0, "restart": -1.
 BELOW = math.nextafter(1.0, 0.0)
 
 
-def begun(latency: int = 0, **numbers: Any) -> tuple[Record, Record]:
+def begun(latency: int = 0, **numbers: Any) -> tuple[Any, Any]:
     table = changed(build(DESIGN, Target(TICK_S, latency, "zoh")), sequential_test=NUMBERS)[0]
     state = controller.init(table)[0]
     state.mismatch.variance = 1.0

@@ -21,13 +21,13 @@ from firmware_model.law.fault_decision.covariance import (
     replace_loss,
     variance_of,
 )
-from firmware_model.law.structs import Precision, Record, record_type
+from firmware_model.law.structs import Precision, record_type
 
 Matrix = NDArray[np.float64]
 N = MAX_STATES
 
 
-def matrix(state: Record) -> Matrix:
+def matrix(state: Any) -> Matrix:
     """U D Uᵀ, in double."""
     upper = np.triu(state.upper.astype(float), 1) + np.eye(N)
     return upper * state.variances.astype(float) @ upper.T
@@ -36,8 +36,8 @@ def matrix(state: Record) -> Matrix:
 VARIANCES = np.array([1.0, 2.0, 0.5, 0.0, 0.3, 4.0, 0.7])
 
 
-def begun(precision: Precision = "float64", variances: Any = VARIANCES) -> Record:
-    state = np.zeros(1, record_type(covariance.STATE, precision))[0]
+def begun(precision: Precision = "float64", variances: Any = VARIANCES) -> Any:
+    state = np.zeros(1, record_type(covariance.State, precision))[0]
     state.variances[:] = variances
     return state
 

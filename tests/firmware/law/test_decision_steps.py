@@ -25,7 +25,6 @@ from firmware_model.law.fault_decision.decision import (
 )
 from firmware_model.law.fault_decision.likelihood_ratio import candidate_output, candidate_shown
 from firmware_model.law.fault_decision.loss_model import earlier_shown, loss_output
-from firmware_model.law.structs import Record
 from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
@@ -39,7 +38,7 @@ PROBE = {"ticks": 3, "amplitude": 1.0, "least_share": 0.4}
 TORQUE_NM = 40.0
 
 
-def begun(evidence: float = 0.0, before: int = CLEAR, **changes: Any) -> tuple[Record, Record]:
+def begun(evidence: float = 0.0, before: int = CLEAR, **changes: Any) -> tuple[Any, Any]:
     """A table with round numbers and a state at rest with this evidence."""
     of = Target(TICK_S, changes.pop("latency", 0), "zoh", mismatch=other_cars(1), noise_rms=0.01)
     numbers = {part: {**values, **changes.pop(part, {})} for part, values in NUMBERS.items()}
@@ -50,7 +49,7 @@ def begun(evidence: float = 0.0, before: int = CLEAR, **changes: Any) -> tuple[R
     return table, state
 
 
-def moving(state: Record, share: float = 0.0) -> None:
+def moving(state: Any, share: float = 0.0) -> None:
     """Motions of w and of the candidate, and what F̂ has carried so far."""
     draw = np.random.default_rng(3)
     for part in (state.loss_model, state.sequential_test):
@@ -63,7 +62,7 @@ def moving(state: Record, share: float = 0.0) -> None:
     state.command_1 = TORQUE_NM
 
 
-def tick(table: Record, state: Record, residual: float = 0.0, model_1: float = 1e3) -> int:
+def tick(table: Any, state: Any, residual: float = 0.0, model_1: float = 1e3) -> int:
     state.measurement = 1.0 - state.measurement  # the sensor is not frozen
     decide(table, state, residual, model_1, 0.0)
     return int(state.fault_state)

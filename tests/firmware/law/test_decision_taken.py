@@ -12,11 +12,10 @@ from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer
 from firmware_model.law.fault_decision.decision import CLEAR, CONFIRMED, SUSPECTED
 from firmware_model.law.fault_decision.likelihood_ratio import candidate_output
 from firmware_model.law.fault_decision.loss_model import known_share, loss_output
-from firmware_model.law.structs import Record
 from tests.firmware.law.test_decision_steps import ABOVE, PROBE, begun, moving, tick
 
 
-def transferred(table: Record, before: Record, after: Record, share: float) -> Any:
+def transferred(table: Any, before: Any, after: Any, share: float) -> Any:
     """The transfer of ``after``, and its expectation: to the known loss and to this candidate.
 
     ``before`` is the state within the tick, as it was when the transfer began.
@@ -32,7 +31,7 @@ def transferred(table: Record, before: Record, after: Record, share: float) -> A
     return [[float(part[name]) for name in names] for part in (ours, expected)]
 
 
-def set_up(evidence: float, before: int, share: float, **changes: Any) -> tuple[Record, Record]:
+def set_up(evidence: float, before: int, share: float, **changes: Any) -> tuple[Any, Any]:
     """A candidate in motion, and a tick without new information."""
     table, state = begun(evidence, before, **changes)
     moving(state, share)

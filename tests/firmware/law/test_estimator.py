@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -20,7 +22,7 @@ from firmware_model.law.filters.estimator import (
     model_output,
     settle_estimator,
 )
-from firmware_model.law.structs import FloatArray, Record
+from firmware_model.law.structs import FloatArray
 
 CAR, TICK_S, TICKS = steer_by_wire(), 1e-3, 60
 MODELS = tustin(CAR.g1, TICK_S).sos, tustin(CAR.g2, TICK_S).sos
@@ -28,7 +30,7 @@ COMMANDS = np.random.default_rng(7).standard_normal((2, TICKS))
 LATENCIES = (0, 1, 3, 64)
 
 
-def made(latency: int) -> tuple[Record, Record]:
+def made(latency: int) -> tuple[Any, Any]:
     """Constants, and a state at rest."""
     q = ZeroPoleGain((0.0,), (-20.0,), -1.0)  # 1 + Q is a lag, which has a memory
     specification = DesignSpecification(compensation=False, q=q)
@@ -36,7 +38,7 @@ def made(latency: int) -> tuple[Record, Record]:
     return table.estimator, init(table)[0].estimator
 
 
-def run(constants: Record, state: Record, commands: FloatArray) -> FloatArray:
+def run(constants: Any, state: Any, commands: FloatArray) -> FloatArray:
     """The outputs of both models, (2, ticks)."""
     outputs = []
     for one, two in commands.T:

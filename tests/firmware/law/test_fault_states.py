@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 
@@ -12,7 +13,6 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.fault_decision.decision import decide
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import Record
 from tests.firmware.law.cases import CAR, TICK_S, changed
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
@@ -20,7 +20,7 @@ CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = FaultState
 SUSPECT, CONFIRM, RECOVER = 3.0, 8.0, 40.0
 
 
-def begun(probe: float = 0.0, before: FaultState = CLEAR) -> tuple[Record, Record]:
+def begun(probe: float = 0.0, before: FaultState = CLEAR) -> tuple[Any, Any]:
     of = Target(TICK_S, 1, "zoh", noise_rms=0.01, probe=probe, on_confirmation=True)
     levels = {"suspect": SUSPECT, "confirm": CONFIRM, "recover": RECOVER, "pause_ticks": 7}
     tables = changed(build(DESIGN, of), decision=levels)
@@ -29,7 +29,7 @@ def begun(probe: float = 0.0, before: FaultState = CLEAR) -> tuple[Record, Recor
     return tables[0], state
 
 
-def decided(table: Record, state: Record, evidence: float, model_1: float = 1.0) -> int:
+def decided(table: Any, state: Any, evidence: float, model_1: float = 1.0) -> int:
     """The fault state of a tick in which channel 1 adds ``model_1`` to y, if it works."""
     state.sequential_test.evidence = evidence
     state.mismatch.previous_model_output = model_1
@@ -82,7 +82,7 @@ def test_a_suspicion_is_of_most_of_the_channel(correlation: float, share: float)
     assert state.decision.suspected_share == pytest.approx(share)
 
 
-def carrying(before: FaultState, **numbers: float) -> tuple[Record, Record]:
+def carrying(before: FaultState, **numbers: float) -> tuple[Any, Any]:
     """F̂ has carried 0.2 for some time; the candidate's w of the last tick is 0.5."""
     table, state = begun(before=before)
     state.bumpless_transfer.carried = 0.2

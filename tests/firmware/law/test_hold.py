@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin, zoh
 from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Mode
-from firmware_model.law.structs import FloatArray, Record
+from firmware_model.law.structs import FloatArray
 
 TICK_S, LOST, MISSING, MISSED = 1e-3, 200, 600, 40
 CAR = steer_by_wire()
@@ -39,12 +40,12 @@ class Run:
     fault_state: FloatArray
 
 
-def table_of(latency: int, **changes: object) -> Record:
+def table_of(latency: int, **changes: object) -> Any:
     chosen = {"estimator": "zoh", "on_confirmation": True, **changes}
     return build(DESIGN, Target(TICK_S, latency, **chosen))  # type: ignore[arg-type]
 
 
-def drive(table: Record, lost: int | None, missed: int = MISSED) -> Run:
+def drive(table: Any, lost: int | None, missed: int = MISSED) -> Run:
     """A sine; no measurement in ``missed`` ticks from MISSING on, no channel 1 from ``lost`` on."""
     state, x, y = controller.init(table)[0], PLANT.rest, 0.0
     latency = int(table.estimator.latency_ticks)

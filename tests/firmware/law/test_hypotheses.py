@@ -28,7 +28,7 @@ from firmware_model.law.fault_decision.hypotheses.signatures import (
     weigh_signatures,
 )
 from firmware_model.law.fault_decision.mismatch import innovation
-from firmware_model.law.structs import FloatArray, Record, RecordArray
+from firmware_model.law.structs import FloatArray, RecordArray
 from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
@@ -48,7 +48,7 @@ NO_CARS = tables_of()
 NO_CARS[0].mismatch.n = 0
 
 
-def filtered(table: Record, residual: FloatArray, x: FloatArray) -> tuple[FloatArray, Record]:
+def filtered(table: Any, residual: FloatArray, x: FloatArray) -> tuple[FloatArray, Any]:
     """The innovations of a residual, where other cars show x; and the filter that made them."""
     state = controller.init(table)[0]
     n, rows = int(table.mismatch.n), []

@@ -9,28 +9,28 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.law.layout import STATE, TABLE, precision_of, state_type, table_type
-from firmware_model.law.structs import Field, Struct
+from firmware_model.law.layout import State, Table, precision_of, state_type, table_type
+from firmware_model.law.structs import Field, Struct, fields_of
 
 UNITS = {"1", "tick", "y", "u1", "u2", "command", "output", "input"}
-TYPES = {"table": (TABLE, table_type), "state": (STATE, state_type)}
+TYPES = {"table": (Table, table_type), "state": (State, state_type)}
 PRECISIONS = {"float32": ctypes.c_float, "float64": ctypes.c_double}
 
 
-def fields(struct: Struct) -> Iterator[Field]:
+def fields(struct: type[Struct]) -> Iterator[Field]:
     """Every field, those of nested structs included."""
-    for field in struct:
+    for field in fields_of(struct):
         yield field
-        if isinstance(field.kind, tuple):
+        if isinstance(field.kind, type):
             yield from fields(field.kind)
 
 
-def c_struct(struct: Struct, real: Any) -> type[ctypes.Structure]:
+def c_struct(struct: type[Struct], real: Any) -> type[ctypes.Structure]:
     """The struct as ctypes lays it out: by the natural alignment of its members."""
     members = []
-    for field in struct:
+    for field in fields_of(struct):
         kind: Any = real if field.kind == "real" else ctypes.c_int32
-        if isinstance(field.kind, tuple):
+        if isinstance(field.kind, type):
             kind = c_struct(field.kind, real)
         for size in reversed(field.shape):
             kind = kind * size

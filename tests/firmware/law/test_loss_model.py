@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ from firmware_model.law.fault_decision.loss_model import (
 from firmware_model.law.filters.biquad import output
 from firmware_model.law.filters.estimator import advance_model
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import FloatArray, Record
+from firmware_model.law.structs import FloatArray
 from tests.firmware.law.cases import CAR, TICK_S, changed
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
@@ -42,7 +43,7 @@ COMMANDS = np.cumsum(np.random.default_rng(1).standard_normal(30))
 LATENCIES = [0, 1, 3]
 
 
-def begun(latency: int) -> tuple[Record, Record]:
+def begun(latency: int) -> tuple[Any, Any]:
     """A channel 1 that is lost; by Tustin's rule w has a feedthrough."""
     table = build(DESIGN, Target(TICK_S, latency))
     state = controller.init(table)[0]
@@ -50,7 +51,7 @@ def begun(latency: int) -> tuple[Record, Record]:
     return table, state
 
 
-def advance(table: Record, state: Record, command: float) -> None:
+def advance(table: Any, state: Any, command: float) -> None:
     state.command_1 = command
     advance_loss_model(table, state)
     advance_candidate(table, state)

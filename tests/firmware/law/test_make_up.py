@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.law import actuator
 from firmware_model.law.filters import biquad, shortfall
 from firmware_model.law.filters.shortfall import make_up
-from firmware_model.law.structs import Record, record_type
+from firmware_model.law.structs import record_type
 
 ROWS = {
     "a lag": [[0.0, 0.3, 0.0, 0.4, 0.0]],
@@ -27,9 +28,9 @@ ROWS = {
 }
 
 
-def records(rows: NDArray[np.float64], slew: float = math.inf) -> list[Record]:
+def records(rows: NDArray[np.float64], slew: float = math.inf) -> list[Any]:
     """Constants of the make-up, the cascade, the actuator, and a state."""
-    kinds = (shortfall.CONSTANTS, biquad.CONSTANTS, actuator.CONSTANTS, shortfall.STATE)
+    kinds = (shortfall.Constants, biquad.Constants, actuator.Constants, shortfall.State)
     constants, cascade, limits, state = (
         np.zeros(1, record_type(kind, "float64"))[0] for kind in kinds
     )

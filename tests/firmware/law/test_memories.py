@@ -14,59 +14,59 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.fault_decision.hypotheses.verdict import clear_hypotheses
 from firmware_model.law.fault_decision.likelihood_ratio import start_candidate
-from firmware_model.law.layout import STATE
+from firmware_model.law.layout import State
 from firmware_model.law.overflow import clear_memories
 from firmware_model.law.status import FaultState, Mode
-from firmware_model.law.structs import Record, Struct
+from firmware_model.law.structs import Struct, fields_of
 from tests.firmware.law.cases import CAR, TICK_S, other_cars
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 LATENCY = 3
 
 
-def table_of(**changes: Any) -> Record:
+def table_of(**changes: Any) -> Any:
     chosen = {"mismatch": other_cars(4), "on_confirmation": True, "lsb_1": 0.01, **changes}
     return build(DESIGN, Target(TICK_S, LATENCY, "tustin-held", **chosen))
 
 
-def leaves(struct: Struct, record: Record, path: str = "") -> dict[str, Any]:
+def leaves(struct: type[Struct], record: Any, path: str = "") -> dict[str, Any]:
     """Every number of a state, by the path that leads to it."""
     found: dict[str, Any] = {}
-    for field in struct:
+    for field in fields_of(struct):
         name = f"{path}{field.name}"
-        if isinstance(field.kind, tuple):
+        if isinstance(field.kind, type):
             found |= leaves(field.kind, record[field.name], f"{name}.")
         else:
             found[name] = np.array(record[field.name])
     return found
 
 
-def used(table: Record, seed: int = 1) -> Record:
+def used(table: Any, seed: int = 1) -> Any:
     """A state in which every number is another than at rest."""
     state = controller.init(table)[0]
     draw = np.random.default_rng(seed)
 
-    def fill(struct: Struct, record: Record) -> None:
-        for field in struct:
-            if isinstance(field.kind, tuple):
+    def fill(struct: type[Struct], record: Any) -> None:
+        for field in fields_of(struct):
+            if isinstance(field.kind, type):
                 fill(field.kind, record[field.name])
             elif field.kind == "real":
                 record[field.name] = draw.uniform(0.1, 0.2, field.shape)
             else:
                 record[field.name] = 2
 
-    fill(STATE, state)
+    fill(State, state)
     state.fault_state, state.mode = FaultState.CONFIRMED, Mode.RUN
     return state
 
 
-def changes(before: Record, after: Record) -> set[str]:
+def changes(before: Any, after: Any) -> set[str]:
     """The paths of what differs."""
-    old, new = leaves(STATE, before), leaves(STATE, after)
+    old, new = leaves(State, before), leaves(State, after)
     return {path for path in old if old[path].tobytes() != new[path].tobytes()}
 
 
-def answers(table: Record, state: Record, ticks: int = 25) -> list[list[float]]:
+def answers(table: Any, state: Any, ticks: int = 25) -> list[list[float]]:
     """Answers and findings of the law in the following ticks."""
     draw, rows = np.random.default_rng(8), []
     for k in range(ticks):

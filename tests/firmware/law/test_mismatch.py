@@ -28,7 +28,7 @@ from firmware_model.law.fault_decision.other_cars import (
     settle_other_cars,
     show_other_cars,
 )
-from firmware_model.law.structs import Record, RecordArray
+from firmware_model.law.structs import RecordArray
 from tests.firmware.law.cases import CAR, TICK_S, changed, covariance_of, other_cars
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
@@ -56,7 +56,7 @@ def differences(parameters: int, u: NDArray[Any] = COMMANDS) -> list[NDArray[Any
 
 
 def predict(
-    table: Record, state: Record, command: float, model: float, lost: float, earlier: float = 0.0
+    table: Any, state: Any, command: float, model: float, lost: float, earlier: float = 0.0
 ) -> None:
     """A tick of the other cars and of the mismatch."""
     show_other_cars(table, state, command, 0.0)
@@ -64,7 +64,7 @@ def predict(
     advance_other_cars(table, state)
 
 
-def predicted(table: Record) -> NDArray[Any]:
+def predicted(table: Any) -> NDArray[Any]:
     """A row a tick: regressor, extent, M and the remainder's variance."""
     state, rows = controller.init(table)[0], []
     for drive in zip(COMMANDS, MODELLED, LOST, EARLIER, strict=True):

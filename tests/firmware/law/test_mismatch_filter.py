@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from firmware_model.law.fault_decision import mismatch
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS, MAX_STATES
 from firmware_model.law.fault_decision.mismatch import clear_mismatch, innovation, learn_loss
-from firmware_model.law.structs import Precision, Record, record_type
+from firmware_model.law.structs import Precision, record_type
 from tests.firmware.law.cases import covariance_of
 
 COLOUR = 0.6
 
 
-def begun(precision: Precision = "float64", **changes: Any) -> tuple[Record, Record]:
+def begun(precision: Precision = "float64", **changes: Any) -> tuple[Any, Any]:
     """Constants and state of a filter with four other cars and some numbers of its own."""
-    constants = np.zeros(1, record_type(mismatch.CONSTANTS, precision))[0]
-    state = np.zeros(1, record_type(mismatch.STATE, precision))[0]
+    constants = np.zeros(1, record_type(mismatch.Constants, precision))[0]
+    state = np.zeros(1, record_type(mismatch.State, precision))[0]
     chosen = {
         "n": MAX_STATES, "prior": 0.36, "forgetting": [0.0, 0.0, 0.01, 0.02, 0.03, 0.05, 0.1],
         "growth": [0.0, 0.0, 0.01, 0.003, 0.002, 0.004, 0.2], "white": 0.1, "noise": 1e-4,
@@ -38,7 +38,7 @@ def begun(precision: Precision = "float64", **changes: Any) -> tuple[Record, Rec
 class FullMatrices:
     """The same filter, in Joseph's form: P stays symmetric and positive."""
 
-    def __init__(self, constants: Record) -> None:
+    def __init__(self, constants: Any) -> None:
         self.constants, self.theta = constants, np.zeros(MAX_STATES)
         self.p = np.diag([0.0] * LOSS_STATES + [float(constants.prior)] * MAX_DIRECTIONS + [0.0])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,6 @@ from firmware_model.law.fault_decision.hypotheses.signatures import (
     answers_no_more,
     weigh_signatures,
 )
-from firmware_model.law.structs import Record
 from tests.firmware.law.cases import CAR, TICK_S, changed
 
 pytestmark = pytest.mark.every_case  # a case each of few lines
@@ -32,7 +32,7 @@ BELOW, ABOVE = math.nextafter(1.0, 0.0), math.nextafter(1.0, 2.0)
 LAGS = 0.05, 0.1, 0.05, 0.4, 0.05  # an M, as a section in δ has it
 
 
-def begun(variance: float = 1.0) -> tuple[Record, Record]:
+def begun(variance: float = 1.0) -> tuple[Any, Any]:
     """A filter that knows the car: a fault shows by its change of the innovations."""
     table = changed(TABLE)[0]
     table.mismatch.n = 0

@@ -22,14 +22,14 @@ from firmware_model.law.fault_decision.other_cars import (
     show_other_cars,
 )
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import FloatArray, Record
+from firmware_model.law.structs import FloatArray
 from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 NEVER = {"confirm": math.inf, "recover": math.inf, "suspect": math.inf}
 
 
-def table_of(mismatch: Mismatch, latency: int = 0) -> Record:
+def table_of(mismatch: Mismatch, latency: int = 0) -> Any:
     return build(DESIGN, Target(TICK_S, latency, "zoh", noise_rms=0.01, mismatch=mismatch))
 
 
@@ -44,7 +44,7 @@ def differences(mismatch: Mismatch, commands: Any) -> FloatArray:
     ])  # fmt: skip
 
 
-def shown(table: Record, state: Record, commands: FloatArray) -> FloatArray:
+def shown(table: Any, state: Any, commands: FloatArray) -> FloatArray:
     rows = []
     for command_1, command_2 in commands.T:
         state.command_2 = command_2

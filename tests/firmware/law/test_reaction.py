@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,14 +14,13 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.fault_decision.decision import acquit, begin_suspicion
 from firmware_model.law.status import FaultState, Mode, Verdict
-from firmware_model.law.structs import Record
 from tests.firmware.law.cases import CAR, TICK_S, changed
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 NEVER = {"confirm": math.inf, "recover": math.inf, "suspect": math.inf}
 
 
-def started(on_confirmation: bool = True, **changes: float) -> tuple[Record, Record]:
+def started(on_confirmation: bool = True, **changes: float) -> tuple[Any, Any]:
     target = Target(TICK_S, 1, "zoh", on_confirmation=on_confirmation, noise_rms=0.01, **changes)  # type: ignore[arg-type]
     table = changed(build(DESIGN, target), decision=NEVER)[0]
     return table, controller.init(table)[0]

@@ -13,14 +13,13 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.errors import ParameterError
 from firmware_model.law import controller
 from firmware_model.law.status import Mode, Verdict
-from firmware_model.law.structs import Record
 from tests.firmware.analysis.loops import SLOW as DESIGN
 
 TICK_S = 0.001
 TICKS = 20
 
 
-def lost(safe_stop_s: float = TICKS * TICK_S, **changes: Any) -> tuple[Record, Record]:
+def lost(safe_stop_s: float = TICKS * TICK_S, **changes: Any) -> tuple[Any, Any]:
     """In the tick after the verdict, with commands on both channels."""
     table = build(DESIGN, Target(TICK_S, 1, "zoh", safe_stop_s=safe_stop_s, **changes))
     state = controller.init(table)[0]
@@ -30,7 +29,7 @@ def lost(safe_stop_s: float = TICKS * TICK_S, **changes: Any) -> tuple[Record, R
     return table, state
 
 
-def commands(table: Record, state: Record, ticks: int, y: float = 0.3) -> np.ndarray:
+def commands(table: Any, state: Any, ticks: int, y: float = 0.3) -> np.ndarray:
     """Of the next ticks, (2, ticks)."""
     found = []
     for _ in range(ticks):

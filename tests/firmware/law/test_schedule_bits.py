@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from firmware_model.law import controller
-from firmware_model.law.schedule import STATE, change_speed
+from firmware_model.law.schedule import State, change_speed
 from firmware_model.law.structs import Precision, record_type
 from tests.firmware.both_ways import lines_compiled_and_interpreted
 from tests.firmware.scheduled import SPEEDS, TARGET, scheduled
@@ -25,7 +25,7 @@ def digests(precision: Precision) -> Iterator[str]:
     of = scheduled(target=replace(TARGET, precision=precision), cars=2)
     tables = np.array([of.table], of.table.dtype)
     states = controller.init(tables[0])
-    own = np.zeros(1, record_type(STATE, precision))
+    own = np.zeros(1, record_type(State, precision))
     for k in range(TICKS):
         speed = SPEEDS[0] + (SPEEDS[-1] - SPEEDS[0]) * abs(math.sin(0.1 * k))
         change_speed(of.schedule, own[0], tables[0], states[0], speed)

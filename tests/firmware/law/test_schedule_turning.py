@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from firmware_model.law.layout import table_type
-from firmware_model.law.schedule import CONSTANTS, MAX_SPEEDS, blend, place_of, turn_models
-from firmware_model.law.structs import record_type
+from firmware_model.law.schedule import MAX_SPEEDS, Constants, blend, place_of, turn_models
+from firmware_model.law.structs import fields_of, record_type
 from tests.firmware.scheduled import SPEEDS, TARGET, Blended, scheduled
 
 OF = scheduled(cars=1)
@@ -98,8 +98,8 @@ def test_everything_that_is_blended_lies_on_the_line_between_two_designs():
 
     Behind the last design of a full schedule there is none, and none is read.
     """
-    schedule = np.zeros(1, record_type(CONSTANTS, "float64"))[0]
-    for i, field in enumerate(CONSTANTS[2:]):
+    schedule = np.zeros(1, record_type(Constants, "float64"))[0]
+    for i, field in enumerate(fields_of(Constants)[2:]):
         value = schedule[field.name]
         value[:] = np.random.default_rng(i).standard_normal(value.shape)
     table, sections = np.zeros(1, table_type("float64"))[0], 3
@@ -140,7 +140,7 @@ def test_everything_that_is_blended_lies_on_the_line_between_two_designs():
 
 
 def test_a_full_schedule_ends_with_its_last_design():
-    schedule = np.zeros(1, record_type(CONSTANTS, "float64"))[0]
+    schedule = np.zeros(1, record_type(Constants, "float64"))[0]
     schedule.n = MAX_SPEEDS
     schedule.speed[:] = 10.0 + np.arange(MAX_SPEEDS)
     assert place_of(schedule, 99.0) == MAX_SPEEDS - 1

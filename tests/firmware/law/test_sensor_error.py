@@ -25,14 +25,14 @@ from firmware_model.law.fault_decision.hypotheses.signatures import (
 from firmware_model.law.fault_decision.mismatch import innovation
 from firmware_model.law.filters import biquad
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import FloatArray, Record
+from firmware_model.law.structs import FloatArray
 from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 TICKS, FOUND = 60, 25
 
 
-def table_of(**changes: Any) -> Record:
+def table_of(**changes: Any) -> Any:
     """One whose hypotheses keep their onset."""
     target = Target(TICK_S, 1, "zoh", noise_rms=0.01, **changes)
     never = {"restart": -np.inf, "lifetime": np.inf}
@@ -42,7 +42,7 @@ def table_of(**changes: Any) -> Record:
     return table
 
 
-def with_lags(table: Record) -> Record:
+def with_lags(table: Any) -> Any:
     """The same with an M: 0.05 z²/(z² - 1.6 z + 0.65), as sections in δ have it."""
     table.estimator.measurement.n = 1
     table.estimator.measurement.coefficients[0] = 0.05, 0.1, 0.05, 0.4, 0.05
@@ -56,7 +56,7 @@ def through_lags(values: FloatArray) -> FloatArray:
     return answers[2:]
 
 
-def filtered(table: Record, state: Record, residual: FloatArray, x: FloatArray) -> list[float]:
+def filtered(table: Any, state: Any, residual: FloatArray, x: FloatArray) -> list[float]:
     rows, n = [], int(table.mismatch.n)
     for value, row in zip(residual.tolist(), x, strict=True):
         state.mismatch.regressor[:n] = row

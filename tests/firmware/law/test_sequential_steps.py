@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,6 @@ from firmware_model.law.fault_decision.likelihood_ratio import (
     update_test,
 )
 from firmware_model.law.filters.biquad import advance, at_rest
-from firmware_model.law.structs import Record
 from tests.firmware.law.cases import CAR, TICK_S, changed
 
 pytestmark = pytest.mark.every_case  # a case each of few lines
@@ -34,7 +34,7 @@ ABOVE = math.nextafter(1.0, 2.0)
 NUMBERS = {"restart": -1.0, "freshness": 0.1, "needed": 24.0, "promising": 8.0, "deviations": 3.0}
 
 
-def begun(latency: int = 1, **numbers: float) -> tuple[Record, Record]:
+def begun(latency: int = 1, **numbers: float) -> tuple[Any, Any]:
     table = build(DESIGN, Target(TICK_S, latency, "zoh"))
     table = changed(table, sequential_test=NUMBERS | numbers)[0]
     state = controller.init(table)[0]

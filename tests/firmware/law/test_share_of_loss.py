@@ -29,7 +29,7 @@ from firmware_model.law.fault_decision.loss_model import known_share
 from firmware_model.law.fault_decision.mismatch import innovation, predict_mismatch
 from firmware_model.law.fault_decision.other_cars import advance_other_cars, show_other_cars
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import FloatArray, Record
+from firmware_model.law.structs import FloatArray
 from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
@@ -40,14 +40,14 @@ MODELLED = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, COMMANDS)
 W = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, np.where(np.arange(TICKS) < START, 0.0, COMMANDS))
 
 
-def learner() -> tuple[Record, Record]:
+def learner() -> tuple[Any, Any]:
     """A table for which the candidate never begins again, and a state at rest."""
     of = Target(TICK_S, 0, "zoh", noise_rms=0.01, noise_pole=0.5, mismatch=other_cars(2))
     tables = changed(build(DESIGN, of), sequential_test={"restart": -math.inf})
     return tables[0], controller.init(tables[0])[0]
 
 
-def learn(table: Record, state: Record, residuals: FloatArray, share: float) -> None:
+def learn(table: Any, state: Any, residuals: FloatArray, share: float) -> None:
     """From d̂ less what is known to be lost; the candidate begins at START."""
     for k, residual in enumerate(residuals.tolist()):
         if k == START:

@@ -22,7 +22,6 @@ from firmware_model.law.filters.biquad import advance
 from firmware_model.law.filters.shortfall import make_up
 from firmware_model.law.filters.tracking import missing_output, track_on
 from firmware_model.law.status import FaultState, Mode
-from firmware_model.law.structs import Record
 from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
@@ -45,7 +44,7 @@ def late(values: NDArray[Any], ticks: int) -> NDArray[Any]:
     return np.concatenate([np.zeros(ticks), values])[: len(values)]
 
 
-def run(table: Record, state: Record, measured: NDArray[Any] = MEASURED) -> Columns:
+def run(table: Any, state: Any, measured: NDArray[Any] = MEASURED) -> Columns:
     """The law's answers tick by tick, and the calls of its parts."""
     rows = []
     for reference, y in zip(REFERENCE, measured, strict=True):
@@ -63,7 +62,7 @@ def run(table: Record, state: Record, measured: NDArray[Any] = MEASURED) -> Colu
     return dict(zip(names, np.array(rows, dtype=np.float64).T, strict=True))
 
 
-def of(target: Target, **changes: Any) -> tuple[Record, Record, Filters]:
+def of(target: Target, **changes: Any) -> tuple[Any, Any, Filters]:
     """A table that decides nothing, a state at rest, and the filters."""
     never = {"confirm": math.inf, "suspect": math.inf, "recover": math.inf}
     table = changed(build(DESIGN, target), decision=never, **changes)[0]

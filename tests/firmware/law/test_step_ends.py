@@ -16,7 +16,6 @@ from firmware_model.law import controller
 from firmware_model.law.filters.biquad import advance, at_rest
 from firmware_model.law.filters.estimator import model_output
 from firmware_model.law.status import FaultState, Mode, Verdict
-from firmware_model.law.structs import Record
 from tests.firmware.discretisation.test_coprime import PENDULUM
 from tests.firmware.law.cases import CAR, TICK_S, changed
 
@@ -26,11 +25,11 @@ NEVER = {"confirm": math.inf, "suspect": math.inf, "recover": math.inf}
 OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
 
 
-def table_of(latency: int = 1, of: Any = DESIGN, **target: Any) -> Record:
+def table_of(latency: int = 1, of: Any = DESIGN, **target: Any) -> Any:
     return build(of, Target(TICK_S, latency, "zoh", **target))
 
 
-def driven(cascade: Record, inputs: list[float]) -> Record:
+def driven(cascade: Any, inputs: list[float]) -> Any:
     """The state of a filter after these inputs."""
     state = at_rest()
     for u in inputs:

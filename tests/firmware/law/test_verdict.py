@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from firmware_model.law.fault_decision.hypotheses.verdict import (
     torque_evidence,
 )
 from firmware_model.law.status import FaultState, Verdict
-from firmware_model.law.structs import Record, RecordArray
+from firmware_model.law.structs import RecordArray
 from tests.firmware.law.cases import CAR, TICK_S, changed, covariance_of, other_cars
 
 pytestmark = pytest.mark.every_case  # a case each of few lines
@@ -32,14 +33,14 @@ TABLES = changed(build(DESIGN, TARGET), decision={"confirm": 20.0, "suspect": 7.
 LOST, OFFSET, FORCE, BIASED, DRIFTING, FROZEN, CAR_IS_ANOTHER = range(1, 8)
 
 
-def state_of(verdict: Verdict = Verdict.NOTHING, *, lost: bool = False) -> Record:
+def state_of(verdict: Verdict = Verdict.NOTHING, *, lost: bool = False) -> Any:
     state = controller.init(TABLES[0])[0]
     state.hypotheses.verdict = verdict
     state.fault_state = FaultState.CONFIRMED if lost else FaultState.CLEAR
     return state
 
 
-def judged(state: Record, **evidence: float) -> Verdict:
+def judged(state: Any, **evidence: float) -> Verdict:
     places = {"lost": LOST, "offset": OFFSET, "force": FORCE, "biased": BIASED,
               "drifting": DRIFTING, "frozen": FROZEN, "car": CAR_IS_ANOTHER}  # fmt: skip
     state.hypotheses.evidence[:] = 0.0
@@ -177,7 +178,7 @@ def test_the_opposite_at_the_same_place_is_the_end_of_a_fault(
         assert judged(state, **{short[then[0]]: 30.0}) == Verdict[then[0].upper()]
 
 
-def silent(state: Record, missing: float = 0.51) -> Record:
+def silent(state: Any, missing: float = 0.51) -> Any:
     """So much of what channel 2 was told is missing in y."""
     state.hypotheses.signatures.commanded, state.hypotheses.signatures.missing = 1.0, missing
     return state
@@ -236,7 +237,7 @@ def test_the_end_of_a_confirmed_loss_competes_with_the_loss_of_the_other_channel
     assert judged(state, lost=30.0, force=140.0) == Verdict.BOTH_LOST
 
 
-def with_learnt_car(tables: RecordArray, lost: bool) -> Record:
+def with_learnt_car(tables: RecordArray, lost: bool) -> Any:
     """A state whose filter has a covariance that is not diagonal."""
     state = controller.init(tables[0])[0]
     draw, n = np.random.default_rng(4), int(tables[0].mismatch.n)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,6 @@ from firmware_model.law.fault_decision.hypotheses.verdict import (
     weigh_hypotheses,
 )
 from firmware_model.law.status import Verdict
-from firmware_model.law.structs import Record
 from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
 
 pytestmark = pytest.mark.every_case  # a case each of few lines
@@ -68,7 +68,7 @@ def test_a_loss_is_not_the_end_of_a_negative_offset(fault: str) -> None:
     assert Verdict(own.verdict).name == Verdict(own.found).name == fault
 
 
-def likely(own: Record, evidence: float, size: float) -> None:
+def likely(own: Any, evidence: float, size: float) -> None:
     """m c - ½ m i of a size m = c/i, about which a tick of much noise says nothing."""
     own.information = 2.0 * evidence / size**2
     own.correlation = size * own.information

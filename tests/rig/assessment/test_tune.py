@@ -123,16 +123,16 @@ def test_what_passes_comes_to_rest_in_drives_with_its_spare_tick(found: Tunings)
     """Two vertices, D* a tick later than is known, the loss in the middle; ``simulate`` alone."""
     scenario, table = found.scenario, table_of(found.scenario, found.chosen)
     some = cars(scenario.model, parameter_ranges(scenario.model, 0.2))
-    left = np.ones((8000, 2))
-    left[4000:, 0] = 0.0
+    left = np.ones((10_000, 2))
+    left[5000:, 0] = 0.0
     for car in (some[1], some[-1]):
         late = dataclasses.replace(
             car.settings,
             sensor=dataclasses.replace(car.settings.sensor, dead_time_s=1e-3),
         )
         plant = sample(continuous_plant(late), 1e-3)
-        trace = simulate(table, plant, np.ones(8000), effectiveness=left)
-        for rest in (trace.error[3900:4000], trace.error[7900:]):
+        trace = simulate(table, plant, np.ones(10_000), effectiveness=left)
+        for rest in (trace.error[4900:5000], trace.error[9900:]):
             assert np.abs(rest).max() < 0.05
 
 

@@ -190,7 +190,7 @@ def test_signals_without_a_place_or_a_name(tmp_path: Path) -> None:
 
 def test_a_database_is_known_by_what_is_in_it(tmp_path: Path) -> None:
     text = (DBC / "steer_by_wire.dbc").read_text("utf-8")
-    assert len(load_database(written(tmp_path, text, "dbc.sym")).messages) == 6
+    assert len(load_database(written(tmp_path, text, "dbc.sym")).messages) == 11
     sym = (
         'FormatVersion=6.0 // Do not edit this line!\nTitle="t"\n\n{SENDRECEIVE}\n\n'
         "[One]\nID=100h\nLen=8\nVar=X unsigned 0,8\n"

@@ -20,7 +20,7 @@ from can_rig.export.costs import Cost, cost, instructions, sizes
 from can_rig.export.findings import DEVIATIONS, Coverage, alarms, coverage, findings, misra
 from can_rig.plant.frameless import controller_inputs
 from firmware_model.law.layout import state_type, table_type
-from firmware_model.law.schedule import CONSTANTS, STATE
+from firmware_model.law.schedule import Constants, State
 from firmware_model.law.structs import record_type
 from tests.rig.export.shared import EMULATED
 
@@ -135,8 +135,8 @@ def test_costs_of_a_drive_are_of_its_designs_and_of_its_speed() -> None:
     assert np.allclose(inputs[:, 2], speed, atol=1e-7)
     found = cost(DRIVE, "m4f", "float32", inputs)
     table, state = table_type("float32").itemsize, state_type("float32").itemsize
-    assert found.constant_bytes == table + record_type(CONSTANTS, "float32").itemsize
-    assert found.state_bytes == state + table + record_type(STATE, "float32").itemsize
+    assert found.constant_bytes == table + record_type(Constants, "float32").itemsize
+    assert found.state_bytes == state + table + record_type(State, "float32").itemsize
     assert found.counts is not None
     assert 1000 < found.median <= found.worst
     changes = np.flatnonzero(np.diff(inputs[:, 2]))

@@ -25,7 +25,7 @@ def as_numba(kind: Type, precision: Precision) -> Any:
     real = nb.float32 if precision == "float32" else nb.float64
     match kind:
         case Record():
-            return numba.from_dtype(record_type(kind.struct.fields, precision))
+            return numba.from_dtype(record_type(kind.struct.declared, precision))
         case Array():
             return nb.Array(real, len(kind.shape), "C")
         case Scalar():
@@ -40,7 +40,7 @@ def agrees(kind: Type, found: Any, precision: Precision) -> bool:
         found = found.literal_type
     match kind:
         case Record():
-            return bool(found.dtype == np.dtype(record_type(kind.struct.fields, precision)))
+            return bool(found.dtype == np.dtype(record_type(kind.struct.declared, precision)))
         case Array():
             return isinstance(found, nb.Array | nb.NestedArray) and found.dtype == real
         case Answers():

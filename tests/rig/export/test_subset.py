@@ -23,19 +23,19 @@ import math
 import numpy as np
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
-from firmware_model.law.structs import Field, Record
+from typing import Annotated
+from firmware_model.law.structs import FloatArray, Struct
 
 OTHER = 0.1
 MANY, HUGE = 7, 2**32
-STATE = (
-    Field("a", "1", "a number"),
-    Field("n", "1", "an integer", "int32"),
-    Field("list", "1", "an array", shape=(4,)),
-    Field("grid", "1", "a matrix", shape=(4, 2)),
-)
+class State(Struct):
+    a: Annotated[float, "1", "a number"]
+    n: Annotated[int, "1", "an integer"]
+    list: Annotated[FloatArray, "1", "an array", (4,)]
+    grid: Annotated[FloatArray, "1", "a matrix", (4, 2)]
 
 @firmware
-def count(state: Record) -> float:
+def count(state: State) -> float:
     state.a += real(1.0, state.a)
     answer: float = state.a
     return answer
@@ -56,7 +56,7 @@ def translate(tmp_path: Path) -> Translate:
 
 
 def translated(text: str, folder: Path) -> Path:
-    """``folder``, with the C of a function ``f(state: Record, x: float)``."""
+    """``folder``, with the C of a function ``f(state: State, x: float)``."""
     path = folder / "lines.py"
     path.write_text(HEADER + textwrap.dedent(text), encoding="utf-8")
     spec = importlib.util.spec_from_file_location("lines", path)
@@ -69,7 +69,7 @@ def translated(text: str, folder: Path) -> Path:
         sources = Sources()
         source = sources.module("lines")
         program = Program(sources)
-        struct = source.structs[id(module.STATE)]
+        struct = source.structs[module.State]
         program.add(source.functions["f"], [Record(struct), REAL])
         files = c_files(program, [struct], {"lines_f"}, "float64")
     finally:
@@ -158,7 +158,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("line", REFUSED)
 def test_what_is_outside_is_refused(translate: Translate, line: str) -> None:
-    text = f'@firmware\ndef f(state: Record, x: float) -> None:\n    """Text."""\n    {line}\n'
+    text = f'@firmware\ndef f(state: State, x: float) -> None:\n    """Text."""\n    {line}\n'
     with pytest.raises(ExportError, match=re.escape(REFUSED[line])) as refused:
         translate(text)
     first = HEADER.count("\n") + 4
@@ -173,12 +173,12 @@ def test_what_is_outside_is_refused(translate: Translate, line: str) -> None:
 @pytest.mark.parametrize(
     ("signature", "body", "what"),
     [
-        ("f(state: Record, x: float = 1.0)", "pass", "must have parameters by position only"),
-        ("f(state: Record, x: int)", "pass", "x is a real number: its annotation must say so"),
-        ("f(state: Record, x)", "pass", "x is a real number: its annotation must say so"),
-        ("f(state: Record, x: float)", "if x > 0.0:\n        return x", "must end with a return"),
-        ("f(state: Record, x: float)", "return x, state.a", "must return names"),
-        ("f(state: Record, x: float)", "if x > 0.0:\n        return x\n    return state.n",
+        ("f(state: State, x: float = 1.0)", "pass", "must have parameters by position only"),
+        ("f(state: State, x: int)", "pass", "x is a real number: its annotation must say so"),
+        ("f(state: State, x)", "pass", "x is a real number: its annotation must say so"),
+        ("f(state: State, x: float)", "if x > 0.0:\n        return x", "must end with a return"),
+        ("f(state: State, x: float)", "return x, state.a", "must return names"),
+        ("f(state: State, x: float)", "if x > 0.0:\n        return x\n    return state.n",
          "returns an integer: must be a real number as before"),
     ],
 )  # fmt: skip
@@ -204,14 +204,14 @@ def test_signatures_that_c_has_not_are_refused(
     ],
 )  # fmt: skip
 def test_what_is_inside_is_not(translate: Translate, line: str) -> None:
-    compile_in(translate(f"@firmware\ndef f(state: Record, x: float) -> None:\n    {line}\n"))
+    compile_in(translate(f"@firmware\ndef f(state: State, x: float) -> None:\n    {line}\n"))
 
 
 def test_no_docstring_is_no_comment(translate: Translate) -> None:
-    folder = translate("@firmware\ndef f(state: Record, x: float) -> None:\n    pass\n")
+    folder = translate("@firmware\ndef f(state: State, x: float) -> None:\n    pass\n")
     assert (folder / "lines.h").read_text(encoding="utf-8").startswith("#ifndef LINES_H\n")
     assert "/* State */\nstruct lines_state {" in (folder / "lines.h").read_text(encoding="utf-8")
-    compile_in(translate('@firmware\ndef f(state: Record, x: float) -> None:\n    """Text."""\n'))
+    compile_in(translate('@firmware\ndef f(state: State, x: float) -> None:\n    """Text."""\n'))
 
 
 # --- names that C has already --------------------------------------------------------------------
@@ -230,7 +230,7 @@ def test_names_that_c_has_are_others_there(translate: Translate, name: str) -> N
             return float, {name}
 
         @firmware
-        def f(state: Record, x: float) -> None:
+        def f(state: State, x: float) -> None:
             float, {name} = double(x)
             state.a = min(np.sqrt(np.ceil({name})), abs(np.rint({name})))
             state.n = max(state.n, 3) % 2
@@ -258,7 +258,7 @@ def test_names_of_the_exported_c_are_refused(translate: Translate, name: str, wh
             return {local}
 
         @firmware
-        def f(state: Record, x: float) -> None:
+        def f(state: State, x: float) -> None:
             state.a = g(x) * real(MANY, x)
         """
     line = 8 if where == "parameter" else 9
@@ -272,10 +272,11 @@ def test_members_that_a_number_would_replace_are_refused(translate: Translate) -
         a = 2
 
         @firmware
-        def f(state: Record, x: float) -> None:
+        def f(state: State, x: float) -> None:
             state.list[a] = x
         """
-    with pytest.raises(ExportError, match=r"lines\.py:10: a: is a number or a function"):
+    line = HEADER[: HEADER.index("class State")].count("\n") + 1
+    with pytest.raises(ExportError, match=rf"lines\.py:{line}: a: is a number or a function"):
         translate(text)
 
 
@@ -291,7 +292,7 @@ def test_a_name_for_several_answers_must_not_hide_a_function(translate: Translat
             return x, y
 
         @firmware
-        def f(state: Record, x: float) -> None:
+        def f(state: State, x: float) -> None:
             y, z = lines_g(x)
         """
     with pytest.raises(ExportError, match="lines_g: is a number or a function of the exported C"):
@@ -303,7 +304,7 @@ def test_a_number_may_have_a_name_of_the_library(translate: Translate) -> None:
         DBL_MAX = 2.0
 
         @firmware
-        def f(state: Record, x: float) -> None:
+        def f(state: State, x: float) -> None:
             state.a = real(DBL_MAX, x)
         """
     assert "#define DBL_MAX_ 2.0\n" in (translate(text) / "lines.c").read_text(encoding="utf-8")

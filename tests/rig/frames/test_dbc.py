@@ -13,9 +13,11 @@ import pytest
 from can_rig.frames.codec import ROLES, SPEED
 from can_rig.frames.databases import attribute
 from can_rig.frames.network import load_network
+from can_rig.scenario.sensor_settings import MEASURED
 
 DBC = Path(__file__).parents[3] / "dbc"
 FILES = ("steer_by_wire.dbc", "plant_by_numbers.dbc")
+FURTHER = tuple(each.replace("-", "_") for each in MEASURED)
 
 both = pytest.mark.parametrize("name", FILES)
 
@@ -68,14 +70,17 @@ def test_layout(name):
         *header, value = [(signal.name, signal.start, signal.length) for signal in message.signals]
         status = [("Mode", 12, 2), ("FaultState", 14, 2)]
         status_frame = attribute(message, "RigRole") == "status"
+        further = attribute(message, "RigRole") in FURTHER
         assert header == [
             ("Checksum", 0, 8),
             ("AliveCounter", 8, 4),
             *(status if status_frame else []),
+            *([("Valid", 12, 1)] if further else []),
             ("Tick", 16, 16),
+            *([("SampleTick", 32, 12)] if further else []),
             *([("Verdict", 32, 4)] if status_frame else []),
         ]
-        assert value[1:] == ((36, 28) if status_frame else (32, 32))
+        assert value[1:] == ((36, 28) if status_frame else (44, 20) if further else (32, 32))
 
 
 @both
@@ -98,7 +103,7 @@ def test_everything_is_explained_and_set(name):
     for message in database.messages:
         assert len(message.senders) == 1
         assert message.receivers == {"PLANT", "CONTROLLER"} - set(message.senders)
-        assert message.cycle_time == 1
+        assert message.cycle_time == (10 if attribute(message, "RigRole") in FURTHER else 1)
         assert message.send_type == "Cyclic"
         assert all(signal.comment for signal in message.signals)
 
@@ -107,8 +112,10 @@ def test_everything_is_explained_and_set(name):
 def test_identifiers_follow_the_order_of_a_tick(name):
     messages = sorted(load(name).messages, key=lambda message: message.frame_id)
     speed = (SPEED,) if name == FILES[0] else ()
-    assert tuple(attribute(message, "RigRole") for message in messages) == (*speed, *ROLES)
-    own = ["PLANT"] * (2 + len(speed))
+    sensors = FURTHER if name == FILES[0] else FURTHER[3:]
+    roles = tuple(attribute(message, "RigRole") for message in messages)
+    assert roles == (*speed, *sensors, *ROLES)
+    own = ["PLANT"] * (2 + len(speed) + len(sensors))
     assert [message.senders[0] for message in messages] == own + ["CONTROLLER"] * 3
 
 
@@ -126,9 +133,11 @@ def test_value_tables():
 
 def test_no_identifier_is_used_twice_in_both_networks():
     codecs = [
-        codec for name in FILES for codec in load_network(DBC / name, name == FILES[0]).by_role
+        codec
+        for name, sensors in ((FILES[0], FURTHER), (FILES[1], FURTHER[3:]))
+        for codec in load_network(DBC / name, name == FILES[0], sensors).on_the_bus
     ]
-    assert len({codec.frame_id for codec in codecs}) == len({c.data_id for c in codecs}) == 11
+    assert len({codec.frame_id for codec in codecs}) == len({c.data_id for c in codecs}) == 18
 
 
 def test_the_lsb_arithmetic_of_the_readme():

@@ -16,7 +16,7 @@ from can_rig.frames.protection import CheckStatus
 from can_rig.nodes.lockstep import ControllerNode, EcuNode, in_real_time, lockstep_controller
 from can_rig.scenario.build import network_of
 from firmware_model.firmware import PythonLaw
-from firmware_model.law.structs import Record, RecordArray
+from firmware_model.law.structs import RecordArray
 
 TICKS = 30
 HEALTHY = load("default", [f"duration_s={TICKS * 1e-3}", "fault.kind=none"])
@@ -159,7 +159,7 @@ class Counting(PythonLaw):
     def __init__(self) -> None:
         self.started = 0
 
-    def init(self, table: Record) -> RecordArray:
+    def init(self, table: Any) -> RecordArray:
         self.started += 1
         return super().init(table)
 

@@ -227,7 +227,7 @@ KEYS = {
     "network.signals.mode=EPS_Status.Estimate": "are both EPS_Status.Estimate: each must",
     "network.signals.mode=EPS_Status.Count": "network.signals.mode and network.tick are both EPS",
     "network.signals.verdict=EPS_Status.State": "mode and network.signals.verdict are both",
-    "network.signals.torque=A.B": "network.signals.torque: unknown key",
+    "network.signals.torqe=A.B": "network.signals.torqe: unknown key",
     "network.tick=Tick": "network.tick = 'Tick'",
     "network.dbc=''": "network.dbc: must name the database of network.signals",
     "network.data_ids.feedback=0": "network.data_ids.feedback = 0: must be at least 1",

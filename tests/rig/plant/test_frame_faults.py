@@ -258,6 +258,7 @@ def test_only_a_fault_of_frames_concerns_the_frames_of_its_channel(kind, place):
 
 TICKS = 80
 NAMES = [codec.name for codec in COMMANDS]
+EACH = [*NAMES, NETWORK.status.name]
 
 
 def scenario_of(kind: str, first: int, count: int, channel: int = 0) -> Scenario:
@@ -286,7 +287,7 @@ def test_without_a_fault_of_frames_all_arrive(kind: str) -> None:
     assert found.sent.all()
     assert found.used.all()
     assert len(found.damage) == 0
-    assert found.rejected == {name: {} for name in NAMES}
+    assert found.rejected == {name: {} for name in EACH}
 
 
 @pytest.mark.parametrize("channel", [0, 1])
@@ -299,7 +300,7 @@ def test_missing_frames_are_missed_on_their_channel(first: int, channel: int) ->
     assert found.used[:, 1 - channel].all()
     assert len(found.damage) == 0
     # Before its first frame a receiver misses none.
-    counts = {NAMES[channel]: {"no_new_data": 3}, NAMES[1 - channel]: {}}
+    counts = {name: {} for name in EACH} | {NAMES[channel]: {"no_new_data": 3}}
     assert found.rejected == counts
 
 

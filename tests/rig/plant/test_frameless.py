@@ -17,7 +17,7 @@ from can_rig.plant.frameless import frameless, inputs_of
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import controller_table, network_of
-from can_rig.scenario.fault_settings import PLACES, FaultKind
+from can_rig.scenario.fault_settings import PLACES, RESTARTED, FaultKind
 from firmware_model.analysis.simulation import Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law.status import Mode
@@ -79,7 +79,7 @@ def drawn(seed: int) -> list[str]:
             "channel": str(draw.choice(places)),
             "at_s": int(draw.integers(150)) / 1000,
             "for_s": int(draw.integers(1, 150)) / 1000,
-            "every": int(draw.choice([1, 1, 1, 2, 7])),
+            "every": 1 if kind == RESTARTED else int(draw.choice([1, 1, 1, 2, 7])),
             "left": int(draw.integers(10)) / 10,
             "bias_mps2": 0.05,
             "offset": float(draw.normal()),
@@ -144,6 +144,7 @@ def test_lags_limits_and_a_real_sensor(kind, tmp_path):
 def test_every_kind_of_fault_changes_the_run(kind):
     needed = ["fault.value=0.5", "fault.offset=1", "fault.drift_per_s=9", "fault.amplitude=1"]
     settings = ["duration_s=0.1", "reference.kind=sine", "fault.rate_per_s=1", *needed]
+    settings += ["fault.for_s=0.02"] if kind == RESTARTED else []
     scenario = load("ideal", [*settings, f"fault.kind={kind}", "fault.at_s=0.05"])
     faulty, healthy = (signals_without_log(each) for each in (scenario, scenario.healthy))
     assert not np.array_equal(faulty.plant["true_dstar_mps2"], healthy.plant["true_dstar_mps2"])

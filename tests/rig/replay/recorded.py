@@ -20,7 +20,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, ChangeSpeed, Law, Memories, Step
-from firmware_model.law.structs import Record, RecordArray
+from firmware_model.law.structs import RecordArray
 
 FOLDER: Final = Path(__file__).parents[2] / "drives"
 DRIVES: Final[dict[str, dict[str, Any]]] = tomllib.loads(
@@ -40,13 +40,13 @@ def log_of(name: str) -> Path:
     return FOLDER / f"{name}.log.gz"
 
 
-def designed(scenario: Scenario) -> dict[str, Record]:
+def designed(scenario: Scenario) -> dict[str, Any]:
     """The constants of today's design on this host: its table and, of many speeds, its schedule."""
     of = controls(scenario, network_of(scenario))
     return {"table": of.table} | ({} if of.schedule is None else {"schedule": of.schedule})
 
 
-def recorded(name: str) -> dict[str, Record]:
+def recorded(name: str) -> dict[str, Any]:
     """The constants that the controller of a drive had."""
     with np.load(_constants(name)) as file:
         return {part: file[part][()] for part in file.files}
@@ -57,12 +57,12 @@ def has_constants(name: str) -> bool:
     return _constants(name).exists()
 
 
-def keep(name: str, constants: dict[str, Record]) -> None:
+def keep(name: str, constants: dict[str, Any]) -> None:
     """Write the constants of a drive."""
     np.savez_compressed(_constants(name), allow_pickle=False, **constants)
 
 
-def are_close(one: dict[str, Record], other: dict[str, Record]) -> bool:
+def are_close(one: dict[str, Any], other: dict[str, Any]) -> bool:
     """Whether constants have the same fields, and the same values but for rounding."""
     return one.keys() == other.keys() and all(
         one[part].dtype == other[part].dtype and _close(one[part], other[part]) for part in one
@@ -83,7 +83,7 @@ class WithRecordedConstants:
         self._constants = recorded(name)
         self._law = law
 
-    def init(self, table: Record) -> RecordArray:
+    def init(self, table: Any) -> RecordArray:
         """See ``Law``."""
         constants = self._constants["table"]
         for field in table.dtype.fields or ():
@@ -94,7 +94,7 @@ class WithRecordedConstants:
         """See ``Law``."""
         return self._law.step_of(tables, states)
 
-    def reset(self, table: Record, state: Record, reference: float) -> None:
+    def reset(self, table: Any, state: Any, reference: float) -> None:
         """See ``Law``."""
         self._law.reset(table, state, reference)
 
@@ -108,7 +108,7 @@ def _constants(name: str) -> Path:
     return FOLDER / f"{name}.constants.npz"
 
 
-def _close(one: Record, other: Record) -> bool:
+def _close(one: Any, other: Any) -> bool:
     if one.dtype.names:
         return all(_close(one[field], other[field]) for field in one.dtype.names)
     if not np.issubdtype(one.dtype, np.floating):

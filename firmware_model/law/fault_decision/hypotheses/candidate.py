@@ -15,36 +15,49 @@ present tick becomes the new onset; so does a candidate older than ``lifetime`` 
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.covariance import MAX_STATES
 from firmware_model.law.precision import real
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import FloatArray, Struct
 
-LIMITS = (
-    Field("least", "1", "least size, in the unit of the signature"),
-    Field("most", "1", "largest size, in the unit of the signature"),
-)
-CONSTANTS = (
-    Field("restart", "1", "predicted log-likelihood ratio that rejects the onset"),
-    Field("lifetime", "tick", "age of a restart without a finding"),
-    Field("promising", "1", "evidence that prevents the restart by age"),
-)
-STATE = (
-    Field("explained", "1", "effect of the signature on θ", shape=(MAX_STATES,)),
-    Field("previous_shown", "y", "the signature in d̂ of the last tick"),
-    Field("age", "tick", "since the onset"),
-    Field("correlation", "1", "c for a size of 1"),
-    Field("information", "1", "i for a size of 1"),
-    Field("size_now", "1", "m, in the unit of the signature"),
-    Field("foretold", "1", "log-likelihood ratio with the sizes of the ticks before"),
-    Field("evidence", "1", "log-likelihood ratio with m"),
-)
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
+
+class Limits(Struct):
+    """Limits of a size."""
+
+    least: Annotated[float, "1", "least size, in the unit of the signature"]
+    most: Annotated[float, "1", "largest size, in the unit of the signature"]
+
+
+class Constants(Struct):
+    """Constants."""
+
+    restart: Annotated[float, "1", "predicted log-likelihood ratio that rejects the onset"]
+    lifetime: Annotated[float, "tick", "age of a restart without a finding"]
+    promising: Annotated[float, "1", "evidence that prevents the restart by age"]
+
+
+class State(Struct):
+    """State."""
+
+    explained: Annotated[FloatArray, "1", "effect of the signature on θ", (MAX_STATES,)]
+    previous_shown: Annotated[float, "y", "the signature in d̂ of the last tick"]
+    age: Annotated[float, "tick", "since the onset"]
+    correlation: Annotated[float, "1", "c for a size of 1"]
+    information: Annotated[float, "1", "i for a size of 1"]
+    size_now: Annotated[float, "1", "m, in the unit of the signature"]
+    foretold: Annotated[float, "1", "log-likelihood ratio with the sizes of the ticks before"]
+    evidence: Annotated[float, "1", "log-likelihood ratio with m"]
 
 
 @firmware
 def take_in(
-    table: Record, state: Record, own: Record, limits: Record, shown: float, innovation: float
+    table: Table, state: layout.State, own: State, limits: Limits, shown: float, innovation: float
 ) -> None:
     """Take in a tick.
 
@@ -74,7 +87,7 @@ def take_in(
 
 
 @firmware
-def likeliest(correlation: float, information: float, limits: Record) -> float:
+def likeliest(correlation: float, information: float, limits: Limits) -> float:
     """The likeliest size within ``limits``; 0 without information."""
     size = real(0.0, correlation)
     if information > real(0.0, correlation):
@@ -83,7 +96,7 @@ def likeliest(correlation: float, information: float, limits: Record) -> float:
 
 
 @firmware
-def has_failed(constants: Record, own: Record) -> bool:
+def has_failed(constants: Constants, own: State) -> bool:
     """Whether the onset is rejected, or too old to gain more evidence."""
     if not (own.foretold > constants.restart and math.isfinite(own.evidence)):
         return True
@@ -92,7 +105,7 @@ def has_failed(constants: Record, own: Record) -> bool:
 
 
 @firmware
-def start(own: Record) -> None:
+def start(own: State) -> None:
     """The onset is now."""
     own.explained[:] = 0.0
     own.previous_shown = own.age = own.correlation = own.information = 0.0

@@ -8,31 +8,43 @@ sensor and less noise than specified.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
 from firmware_model.compiled import firmware
 from firmware_model.law.actuator import command_possible
 from firmware_model.law.fault_decision.hypotheses import candidate
+from firmware_model.law.fault_decision.hypotheses.candidate import State as CandidateState
 from firmware_model.law.fault_decision.hypotheses.candidate import start, take_in
 from firmware_model.law.precision import real
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import Struct
 
-CONSTANTS = (
-    Field("size_of_one", "1", "limits of the size, always 1", candidate.LIMITS),
-    Field("least_motion", "y", "least modelled motion for a repetition to count"),
-    Field("repetition", "1", "-ln of the chance that noise repeats a number"),
-)
-STATE = (
-    Field("candidate", "1", "how well missing motion explains d̂", candidate.STATE),
-    Field("measurement", "y", "the repeated number"),
-    Field("expected", "y", "modelled y at the first occurrence"),
-    Field("repetitions", "1", "repetitions since"),
-    Field("command_1", "u1", "command 1 of the tick before the number"),
-    Field("command_2", "u2", "command 2 of the tick before the number"),
-    Field("evidence", "1", "log-likelihood ratio"),
-)
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
+
+class Constants(Struct):
+    """Constants."""
+
+    size_of_one: Annotated[candidate.Limits, "1", "limits of the size, always 1"]
+    least_motion: Annotated[float, "y", "least modelled motion for a repetition to count"]
+    repetition: Annotated[float, "1", "-ln of the chance that noise repeats a number"]
+
+
+class State(Struct):
+    """State."""
+
+    candidate: Annotated[CandidateState, "1", "how well missing motion explains d̂"]
+    measurement: Annotated[float, "y", "the repeated number"]
+    expected: Annotated[float, "y", "modelled y at the first occurrence"]
+    repetitions: Annotated[float, "1", "repetitions since"]
+    command_1: Annotated[float, "u1", "command 1 of the tick before the number"]
+    command_2: Annotated[float, "u2", "command 2 of the tick before the number"]
+    evidence: Annotated[float, "1", "log-likelihood ratio"]
 
 
 @firmware
-def weigh_frozen(table: Record, state: Record, innovation: float, expected: float) -> None:
+def weigh_frozen(table: Table, state: layout.State, innovation: float, expected: float) -> None:
     """Take in a tick, of which the model expects y to be ``expected``."""
     constants, own = table.hypotheses.frozen, state.hypotheses.frozen
     if state.measurement != own.measurement:
@@ -51,7 +63,7 @@ def weigh_frozen(table: Record, state: Record, innovation: float, expected: floa
 
 
 @firmware
-def note_commands(state: Record, measurement: float) -> None:
+def note_commands(state: layout.State, measurement: float) -> None:
     """Prepare the tick of a ``measurement``: the number may be the first frozen one."""
     own = state.hypotheses.frozen
     if measurement != own.measurement:
@@ -60,14 +72,14 @@ def note_commands(state: Record, measurement: float) -> None:
 
 
 @firmware
-def go_back(table: Record, state: Record) -> None:
+def go_back(table: Table, state: layout.State) -> None:
     """Restore the last commands computed without a frozen number."""
     own = state.hypotheses.frozen
     command_possible(table, state, own.command_1, own.command_2)
 
 
 @firmware
-def thaw(state: Record) -> None:
+def thaw(state: State) -> None:
     """The next number is another."""
     start(state.candidate)
     state.repetitions = state.evidence = 0.0

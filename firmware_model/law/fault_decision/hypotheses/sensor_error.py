@@ -7,20 +7,29 @@ ignore the known error: without a second sensor, subtracting a believed bias doe
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
 from firmware_model.compiled import firmware
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.precision import real
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import Struct
 
-STATE = (
-    Field("offset", "y", "known error of the sensor in y"),
-    Field("answer", "y", "state of M driven by the offset", biquad.STATE),
-)
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.fault_decision.hypotheses import signatures
+    from firmware_model.law.layout import Table
+
+
+class State(Struct):
+    """State."""
+
+    offset: Annotated[float, "y", "known error of the sensor in y"]
+    answer: Annotated[biquad.State, "y", "state of M driven by the offset"]
 
 
 @firmware
-def sensor_error_shown(table: Record, state: Record) -> float:
+def sensor_error_shown(table: Table, state: layout.State) -> float:
     """The part of G1 u1 + G2 u2 missing in d̂ of this tick: M times the offset."""
     own = state.hypotheses.sensor_error
     shown: float = output(table.estimator.measurement, own.answer, own.offset)
@@ -28,14 +37,16 @@ def sensor_error_shown(table: Record, state: Record) -> float:
 
 
 @firmware
-def advance_sensor_error(table: Record, state: Record) -> None:
+def advance_sensor_error(table: Table, state: layout.State) -> None:
     """A tick on."""
     own = state.hypotheses.sensor_error
     advance(table.estimator.measurement, own.answer, own.offset)
 
 
 @firmware
-def learn_sensor_error(table: Record, state: Record, found: Record, input_now: float) -> bool:
+def learn_sensor_error(
+    table: Table, state: layout.State, found: signatures.One, input_now: float
+) -> bool:
     """Add a found sensor error; θ forgets the error's influence.
 
     Args:
@@ -65,7 +76,7 @@ def learn_sensor_error(table: Record, state: Record, found: Record, input_now: f
 
 
 @firmware
-def clear_sensor_error(own: Record) -> None:
+def clear_sensor_error(own: State) -> None:
     """It adds nothing."""
     own.offset = 0.0
     own.answer.accumulators[:] = 0.0

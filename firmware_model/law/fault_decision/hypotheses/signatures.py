@@ -11,40 +11,64 @@ ticks since the old onset, the onset moves to the present tick.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated
+
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.hypotheses import candidate
+from firmware_model.law.fault_decision.hypotheses.candidate import (
+    Constants as CandidateConstants,
+)
+from firmware_model.law.fault_decision.hypotheses.candidate import (
+    Limits as CandidateLimits,
+)
+from firmware_model.law.fault_decision.hypotheses.candidate import (
+    State as CandidateState,
+)
 from firmware_model.law.fault_decision.hypotheses.candidate import has_failed, start, take_in
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.precision import real
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import Struct
 
-CONSTANTS = (
-    Field("candidate", "1", "thresholds of a restart", candidate.CONSTANTS),
-    Field("torque_offset", "u1", "limits of its size", candidate.LIMITS),
-    Field("force_lost", "1", "limits of the lost share", candidate.LIMITS),
-    Field("sensor_biased", "y", "limits of its size", candidate.LIMITS),
-    Field("sensor_drifting", "y/tick", "limits of its size", candidate.LIMITS),
-)
-ONE = (
-    Field("candidate", "1", "fit of the signature to d̂", candidate.STATE),
-    Field("answer", "y", "state of the signature's filter: G1, G2 or M", biquad.STATE),
-)
-STATE = (
-    Field("torque_offset", "u1", "an offset of the torque", ONE),
-    Field("force_lost", "1", "loss of channel 2", ONE),
-    Field("sensor_biased", "y", "a bias of the sensor", ONE),
-    Field("sensor_drifting", "y/tick", "a drift of the sensor", ONE),
-    Field("ramp", "tick", "the drift of 1/tick as of this tick"),
-    Field("commanded", "y²", "Σ (commanded effect of channel 2 on y)²"),
-    Field("missing", "y²", "Σ commanded effect · missing effect in y"),
-    Field("before", "1", "evidence of a lost channel 2 from before the onset of the other's loss"),
-    Field("jump", "1", "evidence of the bias in its first tick alone"),
-)
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
+
+class Constants(Struct):
+    """Constants."""
+
+    candidate: Annotated[CandidateConstants, "1", "thresholds of a restart"]
+    torque_offset: Annotated[CandidateLimits, "u1", "limits of its size"]
+    force_lost: Annotated[CandidateLimits, "1", "limits of the lost share"]
+    sensor_biased: Annotated[CandidateLimits, "y", "limits of its size"]
+    sensor_drifting: Annotated[CandidateLimits, "y/tick", "limits of its size"]
+
+
+class One(Struct):
+    """The test of one signature."""
+
+    candidate: Annotated[CandidateState, "1", "fit of the signature to d̂"]
+    answer: Annotated[biquad.State, "y", "state of the signature's filter: G1, G2 or M"]
+
+
+class State(Struct):
+    """State."""
+
+    torque_offset: Annotated[One, "u1", "an offset of the torque"]
+    force_lost: Annotated[One, "1", "loss of channel 2"]
+    sensor_biased: Annotated[One, "y", "a bias of the sensor"]
+    sensor_drifting: Annotated[One, "y/tick", "a drift of the sensor"]
+    ramp: Annotated[float, "tick", "the drift of 1/tick as of this tick"]
+    commanded: Annotated[float, "y²", "Σ (commanded effect of channel 2 on y)²"]
+    missing: Annotated[float, "y²", "Σ commanded effect · missing effect in y"]
+    before: Annotated[
+        float, "1", "evidence of a lost channel 2 from before the onset of the other's loss"
+    ]
+    jump: Annotated[float, "1", "evidence of the bias in its first tick alone"]
 
 
 @firmware
-def weigh_signatures(table: Record, state: Record, innovation: float) -> None:
+def weigh_signatures(table: Table, state: layout.State, innovation: float) -> None:
     """Update all candidates with the innovation; restart rejected candidates."""
     constants, own = table.hypotheses.signatures, state.hypotheses.signatures
     g1, g2, m = table.estimator.channel_1, table.estimator.channel_2, table.estimator.measurement
@@ -84,14 +108,14 @@ def weigh_signatures(table: Record, state: Record, innovation: float) -> None:
 
 
 @firmware
-def begin(hypothesis: Record) -> None:
+def begin(hypothesis: One) -> None:
     """Its onset is now."""
     start(hypothesis.candidate)
     hypothesis.answer.accumulators[:] = 0.0
 
 
 @firmware
-def begin_all(state: Record) -> None:
+def begin_all(state: State) -> None:
     """The onset of each is now."""
     begin(state.torque_offset)
     begin(state.force_lost)
@@ -101,7 +125,7 @@ def begin_all(state: Record) -> None:
 
 
 @firmware
-def answers_no_more(state: Record) -> bool:
+def answers_no_more(state: State) -> bool:
     """Whether y follows less than half of channel 2's commands since the onset of its loss.
 
     The test uses d̂ directly: neither another car nor a small sensor error explains so large a d̂.
@@ -111,7 +135,7 @@ def answers_no_more(state: Record) -> bool:
 
 
 @firmware
-def advance_signatures(table: Record, state: Record) -> None:
+def advance_signatures(table: Table, state: layout.State) -> None:
     """A tick on; ``other_cars`` has the command 2 of it."""
     own, estimator = state.hypotheses.signatures, table.estimator
     one = real(1.0, own.ramp)

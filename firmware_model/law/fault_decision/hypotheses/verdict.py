@@ -18,21 +18,32 @@ A table with a ``share_drift`` has neither test nor verdict.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, variance_of
 from firmware_model.law.fault_decision.hypotheses import (
     candidate,
-    frozen,
-    sensor_error,
     signatures,
 )
 from firmware_model.law.fault_decision.hypotheses.candidate import likeliest
+from firmware_model.law.fault_decision.hypotheses.frozen import (
+    Constants as FrozenConstants,
+)
+from firmware_model.law.fault_decision.hypotheses.frozen import (
+    State as FrozenState,
+)
 from firmware_model.law.fault_decision.hypotheses.frozen import thaw, weigh_frozen
+from firmware_model.law.fault_decision.hypotheses.sensor_error import State as SensorErrorState
 from firmware_model.law.fault_decision.hypotheses.sensor_error import (
     clear_sensor_error,
     learn_sensor_error,
+)
+from firmware_model.law.fault_decision.hypotheses.signatures import (
+    Constants as SignaturesConstants,
+)
+from firmware_model.law.fault_decision.hypotheses.signatures import (
+    State as SignaturesState,
 )
 from firmware_model.law.fault_decision.hypotheses.signatures import (
     answers_no_more,
@@ -42,7 +53,12 @@ from firmware_model.law.fault_decision.hypotheses.signatures import (
 from firmware_model.law.fault_decision.loss_model import known_share
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState, Verdict
-from firmware_model.law.structs import Field, Record
+from firmware_model.law.structs import FloatArray, Struct
+
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
 
 CONFIRMED = int(FaultState.CONFIRMED)
 NOTHING, CANNOT_BE_TOLD = int(Verdict.NOTHING), int(Verdict.CANNOT_BE_TOLD)
@@ -52,30 +68,39 @@ SENSOR_BIASED, SENSOR_DRIFTING = int(Verdict.SENSOR_BIASED), int(Verdict.SENSOR_
 SENSOR_FROZEN, ANOTHER_CAR = int(Verdict.SENSOR_FROZEN), int(Verdict.ANOTHER_CAR)
 HYPOTHESES = 8  # NOTHING (evidence 0), the faults, ANOTHER_CAR
 
-CONSTANTS = (
-    Field(
-        "signatures", "1", "of torque offset, lost force and sensor errors", signatures.CONSTANTS
-    ),
-    Field("frozen", "1", "of a frozen sensor", frozen.CONSTANTS),
-    Field("torque_lost", "1", "limits of the lost or returned share", candidate.LIMITS),
-    Field("ahead", "1", "least ratio of a verdict's evidence to faults at other places"),
-    Field("sensor_ahead", "1", "least ratio for a sensor fault"),
-    Field("jump", "1", "evidence of a bias in its first tick, at least"),
-    Field("both_lost", "1", "lead in evidence for a loss of channel 2 after a loss of channel 1"),
-)
-STATE = (
-    Field("signatures", "1", "of torque offset, lost force and sensor errors", signatures.STATE),
-    Field("frozen", "1", "of a frozen sensor", frozen.STATE),
-    Field("evidence", "1", "of each hypothesis, by the number of its verdict", shape=(HYPOTHESES,)),
-    Field("verdict", "1", "a Verdict", "int32"),
-    Field("found", "1", "fault found in this tick; 0: none", "int32"),
-    Field("found_size", "1", "size of a found actuator fault"),
-    Field("sensor_error", "y", "known error of the sensor", sensor_error.STATE),
-)
+
+class Constants(Struct):
+    """Constants."""
+
+    signatures: Annotated[
+        SignaturesConstants, "1", "of torque offset, lost force and sensor errors"
+    ]
+    frozen: Annotated[FrozenConstants, "1", "of a frozen sensor"]
+    torque_lost: Annotated[candidate.Limits, "1", "limits of the lost or returned share"]
+    ahead: Annotated[float, "1", "least ratio of a verdict's evidence to faults at other places"]
+    sensor_ahead: Annotated[float, "1", "least ratio for a sensor fault"]
+    jump: Annotated[float, "1", "evidence of a bias in its first tick, at least"]
+    both_lost: Annotated[
+        float, "1", "lead in evidence for a loss of channel 2 after a loss of channel 1"
+    ]
+
+
+class State(Struct):
+    """State."""
+
+    signatures: Annotated[SignaturesState, "1", "of torque offset, lost force and sensor errors"]
+    frozen: Annotated[FrozenState, "1", "of a frozen sensor"]
+    evidence: Annotated[
+        FloatArray, "1", "of each hypothesis, by the number of its verdict", (HYPOTHESES,)
+    ]
+    verdict: Annotated[int, "1", "a Verdict"]
+    found: Annotated[int, "1", "fault found in this tick; 0: none"]
+    found_size: Annotated[float, "1", "size of a found actuator fault"]
+    sensor_error: Annotated[SensorErrorState, "y", "known error of the sensor"]
 
 
 @firmware
-def weigh_hypotheses(table: Record, state: Record, innovation: float, expected: float) -> None:
+def weigh_hypotheses(table: Table, state: layout.State, innovation: float, expected: float) -> None:
     """Compute the evidence and the verdict of this tick.
 
     Args:
@@ -98,7 +123,7 @@ def weigh_hypotheses(table: Record, state: Record, innovation: float, expected: 
 
 
 @firmware
-def torque_evidence(table: Record, state: Record) -> float:
+def torque_evidence(table: Table, state: layout.State) -> float:
     """The evidence of a lost torque: from the test, or from the share after confirmation."""
     limits, test = table.hypotheses.torque_lost, state.sequential_test
     half = real(0.5, test.evidence)
@@ -111,7 +136,7 @@ def torque_evidence(table: Record, state: Record) -> float:
 
 
 @firmware
-def other_car_evidence(table: Record, state: Record) -> float:
+def other_car_evidence(table: Table, state: layout.State) -> float:
     """The evidence of the direction with the clearest difference between car and model."""
     mismatch, n, half = state.mismatch, table.mismatch.n, real(0.5, state.command_1)
     most = real(0.0, half)
@@ -122,7 +147,7 @@ def other_car_evidence(table: Record, state: Record) -> float:
 
 
 @firmware
-def judge(table: Record, state: Record) -> None:
+def judge(table: Table, state: layout.State) -> None:
     """The verdict of this tick."""
     own, evidence, confirm = state.hypotheses, state.hypotheses.evidence, table.decision.confirm
     lost, was = state.fault_state == CONFIRMED, own.verdict
@@ -151,7 +176,7 @@ def judge(table: Record, state: Record) -> None:
 
 
 @firmware
-def is_clear(table: Record, state: Record, most: float, second: float) -> bool:
+def is_clear(table: Table, state: layout.State, most: float, second: float) -> bool:
     """Whether the fault with the ``most`` evidence is distinguished from faults at other places.
 
     A bias begins with a jump; no torque can jump. Only d̂ since the onset of a lost channel 1
@@ -171,7 +196,7 @@ def is_clear(table: Record, state: Record, most: float, second: float) -> bool:
 
 
 @firmware
-def standing(table: Record, state: Record) -> int:
+def standing(table: Table, state: layout.State) -> int:
     """The standing verdict of the last tick, without a new finding."""
     own = state.hypotheses
     verdict: int = own.verdict
@@ -189,7 +214,7 @@ def standing(table: Record, state: Record) -> int:
 
 
 @firmware
-def strongest(evidence: Any, first: int, end: int) -> float:
+def strongest(evidence: FloatArray, first: int, end: int) -> float:
     """The most evidence of a fault from ``first`` on, before ``end``."""
     most: float = evidence[first]
     for i in range(first + 1, end):
@@ -198,7 +223,7 @@ def strongest(evidence: Any, first: int, end: int) -> float:
 
 
 @firmware
-def likeliest_fault(evidence: Any, most: float) -> int:
+def likeliest_fault(evidence: FloatArray, most: float) -> int:
     """The fault with the evidence ``most``; the first fault among equals."""
     fault = ANOTHER_CAR
     for i in range(1, ANOTHER_CAR):
@@ -209,7 +234,7 @@ def likeliest_fault(evidence: Any, most: float) -> int:
 
 
 @firmware
-def find(table: Record, state: Record, fault: int) -> None:
+def find(table: Table, state: layout.State, fault: int) -> None:
     """Record a found ``fault``: the fault is present, or an earlier fault is gone.
 
     The weighed evidence is now known, so every candidate starts with a new onset.
@@ -239,14 +264,14 @@ def place_of(fault: int) -> int:
 
 
 @firmware
-def found_elsewhere(own: Record) -> bool:
+def found_elsewhere(own: State) -> bool:
     """Whether this tick found the begin or the end of a fault outside the torque."""
     elsewhere: bool = place_of(own.found) != TORQUE_LOST
     return elsewhere
 
 
 @firmware
-def size_of(own: Record, fault: int) -> float:
+def size_of(own: signatures.State, fault: int) -> float:
     """The size of a found actuator fault; 0 for other faults."""
     size = real(0.0, own.ramp)
     if fault == TORQUE_OFFSET:
@@ -257,7 +282,7 @@ def size_of(own: Record, fault: int) -> float:
 
 
 @firmware
-def clear_hypotheses(state: Record) -> None:
+def clear_hypotheses(state: layout.State) -> None:
     """Nothing is known."""
     own = state.hypotheses
     begin_all(own.signatures)

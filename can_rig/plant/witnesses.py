@@ -1,0 +1,157 @@
+"""The further sensors of a run, tick by tick and for many ticks at once.
+
+Every loop takes the same compiled ``sense``, so each says the same bits.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from can_rig.frames.codec import MessageCodec
+from can_rig.plant.faults.plant_faults import PlantFaults
+from can_rig.plant.sensor import NoiseColumns
+from can_rig.scenario.sensor_settings import ECHOES, MEASURED
+from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.hardware import GRID, frame_of
+from firmware_model.analysis.witnesses import HEALTHY, NOT_SENT, VALID, sense
+from firmware_model.law.structs import FloatArray
+
+BLOCK_TICKS: Final = 1024
+"""Ticks for which noise and faults are computed ahead."""
+
+NOISE: Final = 1 << 20
+"""Tells the generators of the sensors from those of turbulence."""
+
+
+class Said(NamedTuple):
+    """What one sensor's frame says."""
+
+    sensor: int
+    """Its number among the scenario's."""
+    value: float
+    sample_tick: int
+    valid: bool
+
+
+class Senses:
+    """Noise, faults and constants of the further sensors of a scenario.
+
+    Args:
+        scenario: the run.
+        codecs: the sensors' frames, in their order.
+    """
+
+    def __init__(self, scenario: Scenario, codecs: Sequence[MessageCodec]) -> None:
+        self._sensors = scenario.sensors
+        self._noise = [
+            NoiseColumns(
+                np.random.SeedSequence(
+                    scenario.seed, spawn_key=(NOISE, MEASURED.index(each.measures))
+                ),
+                each.noise_rms,
+                each.lag_s,
+                scenario.tick_s,
+            )
+            for each in self._sensors
+        ]
+        timing = [each.timing(scenario.tick_s) for each in self._sensors]
+        self.delays: Final = [delay for _, _, delay in timing]
+        self.constants: Final[Any] = (
+            np.array(timing, np.int64).reshape(len(timing), 3),
+            np.array([each.step for each in self._sensors]),
+            np.array([frame_row(codec) for codec in codecs]).reshape(len(timing), GRID),
+        )
+
+    def __len__(self) -> int:
+        return len(self._sensors)
+
+    def noise(self, ticks: int) -> FloatArray:
+        """(ticks, sensors), of the next ones."""
+        columns = [each.next(ticks) for each in self._noise]
+        return np.stack(columns, axis=1) if columns else np.zeros((ticks, 0))
+
+    def memory(self, latest_ticks: int) -> Any:
+        """The memory of ``sense`` at rest, for readings late by faults of at most these ticks."""
+        r = len(self)
+        length = max(self.delays, default=0) + latest_ticks + 1
+        return np.zeros((length, r)), np.zeros(r), np.zeros(r, np.int64)
+
+
+class SensesByTick:
+    """What the further sensors say, tick by tick.
+
+    Args:
+        scenario: the run.
+        codecs: the sensors' frames.
+        latest_ticks: the longest delay of a reading by a fault.
+    """
+
+    def __init__(
+        self, scenario: Scenario, codecs: Sequence[MessageCodec], latest_ticks: int
+    ) -> None:
+        self._senses = Senses(scenario, codecs)
+        self._echoed = [
+            ECHOES.index(each.measures) if each.measures in ECHOES else 0
+            for each in scenario.sensors
+        ]
+        self._memory = self._senses.memory(latest_ticks)
+        r = len(self._senses)
+        self._values, self._samples = np.zeros(r), np.zeros(r, np.int64)
+        self._states = np.zeros(r, np.int64)
+        self._faults = PlantFaults(scenario)
+        self._noise = self._bias = np.zeros((0, r))
+        self._rows = np.tile(HEALTHY, (1, r, 1))
+        self._first = 0
+        if r:  # compiles before the first tick
+            nothing = np.zeros(r)
+            sense(
+                0, nothing, nothing, nothing, nothing, self._rows[0], self._senses.constants,
+                self._senses.memory(latest_ticks), self._values, self._samples, self._states,
+            )  # fmt: skip
+
+    def change_faults(self, scenario: Scenario, tick: int) -> None:
+        """Take the faults of ``scenario`` from ``tick`` on."""
+        self._faults = PlantFaults(scenario)
+        kept = self._noise[tick - self._first :]
+        self._compute(tick, kept)
+
+    def take(self, tick: int, truth: FloatArray, told: tuple[float, float]) -> list[Said]:
+        """What the frames of ``tick`` say; ``tick`` is one more in every call.
+
+        Args:
+            tick: from 0 on.
+            truth: (sensors,), readings without errors.
+            told: the commands that a lying echo says instead.
+        """
+        at = tick - self._first
+        if at >= len(self._noise):
+            self._compute(tick, self._noise[:0])
+            at = 0
+        echoed = np.array([told[channel] for channel in self._echoed])
+        sense(
+            tick, truth, echoed, self._bias[at], self._noise[at],
+            self._rows[at if len(self._rows) > 1 else 0], self._senses.constants, self._memory,
+            self._values, self._samples, self._states,
+        )  # fmt: skip
+        return [
+            Said(each, self._values.item(each), self._samples.item(each), state == VALID)
+            for each, state in enumerate(self._states.tolist())
+            if state != NOT_SENT
+        ]
+
+    def _compute(self, tick: int, noise: FloatArray) -> None:
+        """Noise and faults of a block from ``tick`` on, of which some ``noise`` is known."""
+        self._first = tick
+        self._noise = np.concatenate([noise, self._senses.noise(BLOCK_TICKS - len(noise))])
+        ticks = range(tick, tick + BLOCK_TICKS)
+        self._bias, self._rows = self._faults.of_witnesses(ticks)
+
+
+def frame_row(codec: MessageCodec) -> FloatArray:
+    """The row of a frame in ``hardware``."""
+    bits = 8 * struct.calcsize(codec.float_format) if codec.float_format else 0
+    return frame_of(codec.lsb, codec.minimum, codec.maximum, bits)

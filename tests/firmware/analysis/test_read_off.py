@@ -1,0 +1,43 @@
+"""The matrices of a controller, read off its answers to impulses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from firmware_model.analysis.read_off import NotLinearError, read_off
+from firmware_model.law.structs import FloatArray
+
+A = np.array([[0.9, 0.1], [0.0, 0.5]])
+B = np.array([[1.0, 0.3], [0.0, 2.0]])
+C = np.array([[1.0, 0.0], [0.2, -1.0], [0.0, 3.0]])
+D = np.array([[0.0, 0.4], [1.0, 0.0], [0.0, 0.0]])
+
+
+def linear(inputs: FloatArray) -> FloatArray:
+    x, answers = np.zeros(2), np.empty((len(inputs), 3))
+    for k, w in enumerate(inputs):
+        answers[k] = C @ x + D @ w
+        x = A @ x + B @ w
+    return answers
+
+
+def test_a_linear_controller_is_found_up_to_the_choice_of_its_states() -> None:
+    found = read_off(linear, 3)
+    assert found.latency_ticks == 3
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(found.a)), [0.5, 0.9], rtol=1e-6)
+    for z in (1.0, -1.0, 1j):
+        expected = C @ np.linalg.solve(z * np.eye(2) - A, B) + D
+        ours = found.c @ np.linalg.solve(z * np.eye(len(found.a)) - found.a, found.b) + found.d
+        np.testing.assert_allclose(ours, expected, rtol=1e-6, atol=1e-9)
+
+
+def test_a_controller_that_never_answers_has_no_state() -> None:
+    found = read_off(lambda inputs: np.zeros((len(inputs), 3)), 0)
+    assert found.a.shape == (0, 0)
+    assert not found.d.any()
+
+
+def test_a_limit_is_no_linear_controller() -> None:
+    with pytest.raises(NotLinearError, match="not linear: off by"):
+        read_off(lambda inputs: np.clip(linear(inputs), -2e-4, 2e-4), 0)

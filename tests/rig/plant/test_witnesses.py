@@ -1,0 +1,171 @@
+"""Further sensors: their frames against an integration by scipy, the loops, and bad input."""
+
+import math
+
+import can
+import cantools
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from can_rig.errors import ScenarioError
+from can_rig.frames.databases import shipped_dbc
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.results.execution import Options, execute, two_processes
+from can_rig.scenario.loading import draft
+
+TICK_S = 0.001
+CALM = {"noise": 0.0, "resolution": 0.0}
+SENSORS = [
+    {"measures": "lateral-acceleration", "phase_s": 0.003, "corner_hz": 0.0, **CALM},
+    {"measures": "yaw-rate", "delay_s": 0.002, "corner_hz": 20.0, **CALM},
+    {"measures": "steering-angle", "period_s": 0.004, **CALM},
+    {"measures": "torque-echo", "period_s": 0.001, **CALM},
+]
+GUST = {"kind": "gust", "force_n": 500.0, "arm_m": 0.3, "at_s": 0.1, "ramp_s": 0.1}
+
+
+def scenario(**more):
+    values = {
+        "duration_s": 0.5,
+        "latency_ticks": 1,
+        "plant": {
+            "torque_actuator": {"lag_s": 0.005},
+            "force_difference_actuator": {"lag_s": 0.015},
+        },
+        "design": {"tau_q_s": 0.015, "alpha_q": 3, "alpha": 2, "estimator": "zoh"},
+        "limits": {"torque_nm": 400.0, "force_difference_n": 4000.0},
+        "sensor": SENSORS,
+        **more,
+    }
+    return draft("cluster", values).scenario
+
+
+def run(chosen, out, **options):
+    done = execute(chosen, out, StopRequest(), Options(report=False, **options))
+    assert done.failure is None
+    return out / "bus.log"
+
+
+def frames(log):
+    """The frames of a log by message: time, signals."""
+    database = cantools.database.load_file(shipped_dbc("steer_by_wire.dbc"))
+    found = {}
+    for message in can.LogReader(log):
+        of = database.get_message_by_frame_id(message.arbitration_id)
+        signals = of.decode(message.data, decode_choices=False)
+        found.setdefault(of.name, []).append((message.timestamp, signals))
+    return found
+
+
+@pytest.mark.parametrize("disturbance", [[], [GUST]], ids=["calm", "gust"])
+def test_frames_say_what_an_integration_of_the_equations_gives(tmp_path, disturbance):
+    found = frames(run(scenario(disturbance=disturbance), tmp_path / "run"))
+    torque, force = (
+        np.array([each[signal] for _, each in found[name]])
+        for name, signal in (
+            ("STEER_TORQUE_CMD", "SteerTorque"), ("FORCE_DIFF_CMD", "ForceDifference"),
+        )
+    )  # fmt: skip
+    m, j, lf, lr, dr, js, cs = 1400.0, 2457.0, 1.02, 1.58, 1.48, 11.98, 9.0
+    kf, kr, trail, v, tau = 33700.0, 56200.0, 0.05, 10.0, 1.0 / (2.0 * math.pi * 20.0)
+
+    def push(t):
+        return 500.0 * min(max(t - 0.1, 0.0) / 0.1, 1.0) if disturbance else 0.0
+
+    def forces(x):
+        yf = kf * (x[3] - x[0] - lf * x[1] / v)
+        return yf, kr * (lr * x[1] / v - x[0])
+
+    def slope(t, x, commands):
+        (yf, yr), side = forces(x), push(t)
+        return [
+            (2 * yf + 2 * yr + side) / (m * v) - x[1],
+            (2 * lf * yf - 2 * lr * yr + dr / 2 * x[5] + 0.3 * side) / j,
+            (x[4] - cs * x[2] - 2 * trail * yf) / js,
+            x[2],
+            (commands[0] - x[4]) / 0.005,
+            (commands[1] - x[5]) / 0.015,
+            (x[1] - x[6]) / tau,
+        ]
+
+    states = [np.zeros(7)]
+    for tick in range(499):
+        commands = (torque[tick - 1], force[tick - 1]) if tick else (0.0, 0.0)
+        solved = solve_ivp(
+            slope, (tick * TICK_S, (tick + 1) * TICK_S), states[-1], args=(commands,),
+            rtol=1e-10, atol=1e-12,
+        )  # fmt: skip
+        states.append(solved.y[:, -1])
+
+    def acceleration(tick):
+        return (2 * sum(forces(states[tick])) + push(tick * TICK_S)) / m
+
+    expected = {
+        "YAW_RATE": ("YawRate", 10, 0, 2, lambda k: states[k][6], 1e-5),
+        "LATERAL_ACCELERATION": ("LateralAcceleration", 10, 3, 0, acceleration, 1e-4),
+        "STEERING_ANGLE": ("SteeringAngle", 4, 0, 0, lambda k: states[k][3], 1e-5),
+        "STEER_TORQUE_ECHO": ("AppliedTorque", 1, 0, 0, lambda k: states[k][4], 0.1),
+    }
+    for name, (signal, period, phase, delay, truth, step) in expected.items():
+        ticks = range(phase, 500, period)
+        assert [round(time_s / TICK_S) for time_s, _ in found[name]] == list(ticks)
+        for tick, (_, said) in zip(ticks, found[name], strict=True):
+            assert said["Tick"] == tick and said["Valid"] == 1
+            assert said["SampleTick"] == (tick - delay) % 4096
+            wanted = truth(tick - delay) if tick >= delay else 0.0
+            assert said[signal] == pytest.approx(wanted, abs=0.51 * step), (name, tick)
+    assert max(abs(said["YawRate"]) for _, said in found["YAW_RATE"]) > 0.01
+
+
+def test_a_run_has_the_same_frames_in_one_process_and_in_two(tmp_path):
+    noisy = scenario(sensor=[{"measures": each["measures"]} for each in SENSORS], duration_s=0.3)
+    one = run(noisy, tmp_path / "one").read_bytes()
+    assert run(noisy, tmp_path / "two", runner=two_processes).read_bytes() == one
+    assert b"0F1#" in one
+
+
+def test_further_sensors_change_no_other_frame(tmp_path):
+    unfiltered = [{**each, "corner_hz": 0.0} for each in SENSORS]
+    with_them = frames(run(scenario(sensor=unfiltered), tmp_path / "with"))
+    without = frames(run(scenario(sensor=[]), tmp_path / "without"))
+    for name, said in without.items():
+        assert [signals for _, signals in said] == [signals for _, signals in with_them[name]]
+
+
+BAD = [
+    ({}, "sensor.measures: must be set"),
+    ({"measures": "yaw"}, "sensor.measures = 'yaw': must be"),
+    ({"period_s": 0.0}, "sensor.period_s = 0.0: must be greater than 0"),
+    ({"period_s": 2.0}, "sensor.period_s = 2.0: must be at most 1"),
+    ({"period_s": 0.0015}, "sensor.period_s = 0.0015: must be a whole number of ticks"),
+    ({"period_s": 1e-5}, "sensor.period_s = 1e-05: must be a whole number of ticks"),
+    ({"period_s": "10 ms"}, "sensor.period_s = '10 ms': must be a valid number"),
+    ({"phase_s": -0.001}, "sensor.phase_s = -0.001: must be at least 0"),
+    ({"phase_s": 0.0005}, "sensor.phase_s = 0.0005: must be a whole number of ticks"),
+    ({"phase_s": 0.01}, "sensor.phase_s = 0.01: must be less than the period, 0.01 s"),
+    ({"delay_s": -1.0}, "sensor.delay_s = -1.0: must be at least 0"),
+    ({"delay_s": 0.0007}, "sensor.delay_s = 0.0007: must be a whole number of ticks"),
+    ({"noise": -1.0}, "sensor.noise = -1.0: must be at least 0"),
+    ({"noise": 1e7}, "sensor.noise = 10000000.0: must be at most"),
+    ({"resolution": -1e-3}, "sensor.resolution = -0.001: must be at least 0"),
+    ({"corner_hz": -5.0}, "sensor.corner_hz = -5.0: must be at least 0"),
+    ({"corner_hz": 1e-4}, "sensor.corner_hz = 0.0001: must be 0 (none) or at least 0.001"),
+    ({"corner_hz": 1e6}, "sensor.corner_hz = 1000000.0: must be at most"),
+    ({"signal": "yaw"}, "sensor.signal = 'yaw': must be left out; only a class or an FMU"),
+    ({"signal": "a b"}, "sensor.signal = 'a b': must be a name of letters"),
+    ({"noise_mps2": 1.0}, "sensor.noise_mps2: unknown key"),
+]
+
+
+@pytest.mark.parametrize(("keys", "line"), BAD, ids=lambda each: str(each)[:40])
+def test_bad_keys_are_refused_in_one_line(keys, line):
+    sensor = {"measures": "yaw-rate", **keys} if keys else {}
+    with pytest.raises(ScenarioError) as refused:
+        scenario(sensor=sensor)
+    assert line in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_quantity_has_one_sensor():
+    with pytest.raises(ScenarioError, match=r"sensor\.1\.measures = 'yaw-rate': must be another"):
+        scenario(sensor=[{"measures": "yaw-rate"}, {"measures": "yaw-rate"}])
