@@ -80,7 +80,7 @@ def test_protected_frames_are_judged_as_the_receiver_judges_them(
 
 def test_lost_frames_are_those_that_were_taken_out() -> None:
     database = load_database(RIG)
-    message = database.messages[1]
+    (message,) = (m for m in database.messages if m.name == "DSTAR_REFERENCE")
     data_id = message.dbc.attributes["E2EDataId"].value
     kept = [n for n in range(100) if n not in {5, 20, 21, 22, 99}]
     data = protected([n % 15 for n in kept], data_id)

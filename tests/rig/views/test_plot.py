@@ -129,5 +129,5 @@ def test_names() -> None:
         resolve(messages, "Tick")
     with pytest.raises(DbcError, match="did you mean DStar"):
         resolve(messages, "dstar")
-    with pytest.raises(DbcError, match="it has VehicleSpeed, DStarReference, DStar, "):
+    with pytest.raises(DbcError, match="it has VehicleSpeed, YawRate, "):
         resolve(messages, "qqqq")
