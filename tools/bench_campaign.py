@@ -1,7 +1,7 @@
 """Runs a second of a campaign, beside two other ways to simulate the loop, in one go.
 
-python-control and the numba loop get the loop without limits, frames, faults and decision: one
-matrix, which is what remains of the law then. Both write no file and compute no metric.
+python-control and the numba loop get the loop without limits, frames, faults and decision: the
+law is then a single matrix. Both write no file and compute no metric.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The signals of a recorded drive: which signal of a log is which quantity, and in which unit.
+"""The signals of a recorded drive: signals of a log by quantity, with their units.
 
 A role is ``"Message.Signal"``, a table of a signal with its unit and factor, or a list of both,
 whose values are added: the torque of an electric power steering and that of the driver.

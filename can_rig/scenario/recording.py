@@ -264,7 +264,7 @@ def _read(
 def _values(
     layout: _Layout, cells: Sequence[str], columns: Sequence[Column]
 ) -> dict[str, float] | None:
-    """The values of a row, nan for a gap; None for a row that is none."""
+    """The values of a row, nan for a gap; None for a row without a valid value."""
     found = {}
     if len(cells) != layout.width:
         return None

@@ -1,4 +1,4 @@
-"""Further sensors of a plant: what they read, and what their frames say, tick by tick.
+"""Further sensors of a plant: readings and contents of frames, tick by tick.
 
 A reading is a row of the plant's state, of the world's inputs and of the actuators' outputs:
 
@@ -205,7 +205,7 @@ def sense(
     samples: Any,
     states: Any,
 ) -> None:
-    """Tick ``k`` of r sensors: what they read → what their frames say.
+    """Tick ``k`` of r sensors: readings → contents of the frames.
 
     Args:
         k: the tick.
