@@ -197,6 +197,7 @@ def execute(
             folder.publish()
         except RigError:
             if failure is not None:  # earlier, and perhaps the cause: an already full disk
+                failure.args = (f"{failure}; what was recorded is in {log}",)
                 raise failure from None
             raise
     return Execution(folder.path, said, network, outcome, values, made_here, failure)

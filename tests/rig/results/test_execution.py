@@ -16,13 +16,14 @@ import pytest
 from matplotlib.figure import Figure
 
 from can_rig.assessment.resolve import load
-from can_rig.errors import INTERRUPTED, RigError, RunFolderError, SilentNodeError
+from can_rig.errors import INTERRUPTED, LogError, RigError, RunFolderError, SilentNodeError
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.ticks import NodeSummary
 from can_rig.nodes.without_bus import run_without_bus
 from can_rig.results import execution
 from can_rig.results.execution import Options, execute
 from can_rig.results.run_folder import recorded_scenario
+from can_rig.results.signals import Signals
 from tests.helpers import asked, record
 
 FILES = {"bus.log", "bus.plant.csv", "report.html", "report.png", "run.json", "signals.csv"}
@@ -110,6 +111,22 @@ def test_where_the_closing_files_cannot_be_written_both_runs_are_kept(
         execute(SCENARIO, there, StopRequest(), Options(force=True))
     shutil.rmtree(unfinished)
     assert execute(SCENARIO, there, StopRequest(), Options(force=True)) is not None
+
+
+def test_a_disk_that_fills_during_the_run_is_one_line_that_says_where_the_frames_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    (tmp_path / "source").mkdir()
+    out, log = tmp_path / "out", tmp_path / "out" / "bus.log"
+    runner = recorded(tmp_path / "source", 32, LogError(f"{log}: cannot be written: full"))
+    monkeypatch.setattr(Signals, "write_csv", full)
+    with pytest.raises(LogError) as caught:
+        execute(SCENARIO, out, StopRequest(), Options(runner=runner))
+    assert str(caught.value) == f"{log}: cannot be written: full; what was recorded is in {log}"
+    assert {path.name for path in out.iterdir()} == {"bus.log", "run.json"}
 
 
 @pytest.mark.parametrize("force", [False, True])

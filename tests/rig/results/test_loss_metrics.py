@@ -204,6 +204,18 @@ def test_a_channel_that_is_known_to_be_lost_is_not_lost_again() -> None:
         assert second_one["missed_detection"] is missed
 
 
+def test_of_two_faults_that_begin_together_the_one_that_shows_first_is_found() -> None:
+    """A dead motor shows with its first command; the missing frames have told of the loss before."""
+    first = ["fault.kind=frames-missing", "fault.at_s=1.0"]
+    second = ["fault.1.kind=actuator-dead", "fault.1.channel=torque", "fault.1.at_s=1.0"]
+    scenario = load("thesis-step", ["duration_s=2.0", *first, *second])
+    torque = np.where(np.arange(scenario.ticks) < 1200, 0.0, 40.0)
+    state = states(scenario, (1100, CONFIRMED))
+    frames, motor = fault_metrics(scenario, quiet(scenario, torque_nm=torque, fault_state=state))
+    assert (frames["detection_delay_s"], frames["missed_detection"]) == (0.1, False)
+    assert (motor["detection_delay_s"], motor["missed_detection"]) == (None, None)
+
+
 @pytest.mark.parametrize("state", [CLEAR, SUSPECTED, CANNOT_TELL])
 def test_a_part_of_the_torque_is_missed_by_the_same_rule_as_all_of_it(state: float) -> None:
     """The same torque that is missing, as half of what is asked for, a tenth, or all."""
