@@ -205,7 +205,7 @@ def test_a_channel_that_is_known_to_be_lost_is_not_lost_again() -> None:
 
 
 def test_of_two_faults_that_begin_together_the_one_that_shows_first_is_found() -> None:
-    """A dead motor shows with its first command; the missing frames have told of the loss before."""
+    """A dead motor shows with its first command; missing frames have told of the loss before."""
     first = ["fault.kind=frames-missing", "fault.at_s=1.0"]
     second = ["fault.1.kind=actuator-dead", "fault.1.channel=torque", "fault.1.at_s=1.0"]
     scenario = load("thesis-step", ["duration_s=2.0", *first, *second])
