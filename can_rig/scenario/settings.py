@@ -257,6 +257,7 @@ class BudgetSettings:
     ``box`` is the uncertainty of the car's mass, both cornering stiffnesses and speed, 0.2 for ±20
     %; ``actuator_box`` likewise for the lags of both actuators. At most ``false_alarms_per_hour``
     losses are confirmed by chance; ``suspicions_per_hour`` cause a compensation of a few ticks.
+    Wind, road and drifts move a healthy D* by ``disturbance_mps2`` (rms) within a second.
     With a peak |S| above ``peak_sensitivity``, or fewer than ``spare_ticks`` of further delay, a
     stable loop has a thin margin.
     """
@@ -265,6 +266,7 @@ class BudgetSettings:
     actuator_box: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     false_alarms_per_hour: PositiveFloat = 0.001
     suspicions_per_hour: PositiveFloat = 3600.0
+    disturbance_mps2: NonNegativeFloat = 0.03
     peak_sensitivity: Annotated[float, Field(gt=1.0)] = 5.0
     spare_ticks: NonNegativeInt = 0
 

@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Annotated
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.covariance import (
     LOSS_STATES,
+    MAX_STATES,
     SIZES,
     clear_covariance,
     fade,
@@ -43,12 +44,17 @@ from firmware_model.law.fault_decision.covariance import (
     variance_of,
 )
 from firmware_model.law.fault_decision.covariance import State as CovarianceState
+from firmware_model.law.filters import whitener
+from firmware_model.law.filters.whitener import settle_whitener, whiten
 from firmware_model.law.precision import real
 from firmware_model.law.structs import FloatArray, Struct
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
     from firmware_model.law.layout import Table
+
+
+D_HAT, KNOWN_ERROR = MAX_STATES, MAX_STATES + 1  # rows of W's memories, after those of the x
 
 
 class Constants(Struct):
@@ -68,7 +74,8 @@ class Constants(Struct):
     white: Annotated[float, "1", "white share of the remainder's variance"]
     fading: Annotated[float, "1", "factor per tick of M and of the largest extent"]
     noise: Annotated[float, "y²", "variance of the whitened noise of a tick"]
-    colour: Annotated[float, "1", "a of the noise, n(k) = a n(k-1) + white"]
+    whitener: Annotated[whitener.Constants, "1", "W"]
+    remainder_shown: Annotated[float, "1", "x of the remainder: size of W for its time constant"]
 
 
 class State(Struct):
@@ -76,6 +83,9 @@ class State(Struct):
 
     x: Annotated[FloatArray, "y", "x of the last tick", SIZES]
     regressor: Annotated[FloatArray, "y", "x of this tick, whitened", SIZES]
+    white: Annotated[
+        FloatArray, "y", "memories of W: each x, d̂, the known sensor error", (KNOWN_ERROR + 1, 2, 2)
+    ]
     theta: Annotated[FloatArray, "1", "θ", SIZES]
     covariance: Annotated[CovarianceState, "1", "P"]
     gain: Annotated[FloatArray, "1/y", "gain of the last update of θ", SIZES]
@@ -103,20 +113,20 @@ def predict_mismatch(
         earlier: the change of w if the loss were one tick older.
     """
     constants, mismatch, shown = table.mismatch, state.mismatch, state.other_cars.shown
-    a, x, previous = constants.colour, mismatch.regressor, mismatch.x
+    x, previous, w, memory = mismatch.regressor, mismatch.x, constants.whitener, mismatch.white
     extent = change = real(0.0, model_output)
-    x[0] = lost - a * previous[0]
-    x[1] = earlier - a * previous[1]
+    x[0] = whiten(w, memory, 0, lost)
+    x[1] = whiten(w, memory, 1, earlier)
     previous[0], previous[1] = lost, earlier
     for i in range(table.other_cars.n):
         k, now = LOSS_STATES + i, shown[i]
-        x[k] = now - a * previous[k]
+        x[k] = whiten(w, memory, k, now)
         moved = now - previous[k]
         previous[k] = now
         extent += now * now
         change += moved * moved
     if constants.n > LOSS_STATES:
-        x[constants.n - 1] = real(1.0, model_output) - a
+        x[constants.n - 1] = constants.remainder_shown
     moved = model_output - mismatch.previous_model_output
     mismatch.previous_model_output = model_output
     fading, motion = constants.fading, constants.motion
@@ -147,15 +157,26 @@ def finite(value: float) -> float:
 
 
 @firmware
-def innovation(constants: Constants, state: State, residual: float) -> float:
-    """Return the innovation of ``residual`` (d̂ minus the known loss); θ and P are updated.
+def innovation(
+    constants: Constants, state: State, residual: float, known: float, share: float
+) -> float:
+    """Return the innovation of this tick; θ and P are updated.
 
     Leaves the gain in ``state.gain`` and the innovation's variance in ``state.variance``.
+
+    Args:
+        constants: of this module.
+        state: of this module, after ``predict_mismatch``; changed in place.
+        residual: d̂.
+        known: the part of d̂ that a known sensor error hides.
+        share: of the known loss in d̂.
     """
     n, x, gain = constants.n, state.regressor, state.gain
     theta, memory = state.theta, state.memory
-    new: float = residual - constants.colour * state.previous_residual
-    state.previous_residual = residual
+    w = constants.whitener
+    new: float = whiten(w, state.white, D_HAT, residual) - share * x[0]
+    new += whiten(w, state.white, KNOWN_ERROR, known)
+    state.previous_residual = residual + known - share * state.x[0]
     for i in range(n):
         new -= x[i] * theta[i]
     noise = constants.noise + constants.white * state.remainder
@@ -186,6 +207,7 @@ def clear_mismatch(constants: Constants, state: State) -> None:
     state.extent = state.change = state.rule = state.remainder = 0.0
     state.previous_model_output = 0.0
     state.previous_residual = 0.0
+    state.white[:] = 0.0
 
 
 @firmware
@@ -194,6 +216,8 @@ def settle_mismatch(table: Table, state: layout.State, model_output: float) -> N
     clear_mismatch(table.mismatch, state.mismatch)
     zero = real(0.0, model_output)
     predict_mismatch(table, state, model_output, zero, zero)
+    for i in range(LOSS_STATES, LOSS_STATES + table.other_cars.n):
+        settle_whitener(table.mismatch.whitener, state.mismatch.white, i, state.mismatch.x[i])
     state.mismatch.change = state.mismatch.rule = state.mismatch.remainder = (
         0.0  # it came there long ago
     )
@@ -216,5 +240,4 @@ def learn_loss(state: State, share: float, moment: float) -> None:
         moment: variance of the moment, in ticks².
     """
     state.theta[:LOSS_STATES] = 0.0
-    state.x[:LOSS_STATES] = 0.0
     replace_loss(state.covariance, share, moment)
