@@ -54,9 +54,9 @@ from firmware_model.law.fault_decision.likelihood_ratio import (
 )
 from firmware_model.law.fault_decision.loss_model import (
     advance_loss_model,
+    clear_loss_model,
     known_share,
     loss_shown,
-    settle_loss_model,
 )
 from firmware_model.law.fault_decision.mismatch import clear_mismatch, settle_mismatch
 from firmware_model.law.fault_decision.other_cars import (
@@ -258,8 +258,8 @@ def reset(table: Table, state: State, reference: float) -> None:
     model_1, model_2 = model_output(table.estimator, state.estimator, torque, force)
     settle_other_cars(table, state, torque, force)
     settle_mismatch(table, state, model_1 + model_2)
-    state.fault_state = CLEAR  # before what is lost settles: nothing is
-    settle_loss_model(table, state)
+    state.fault_state = CLEAR
+    clear_loss_model(state)
     start_candidate(table, state)
     clear_hypotheses(state)
     state.safe_stop.elapsed = 0.0

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.filters import biquad
-from firmware_model.law.filters.biquad import advance, output, settle
+from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
@@ -141,16 +141,6 @@ def take_over_candidate(table: Table, state: layout.State, share: float, sign: f
     loss.previous_output = earlier * loss.previous_output + sign * test.previous_output
     loss.share = share
     loss.between = loss.followed = possible_share(share)
-
-
-@firmware
-def settle_loss_model(table: Table, state: layout.State) -> None:
-    """Reset to no loss, in the steady state for the command of this tick."""
-    clear_loss_model(state)
-    loss = state.loss_model
-    w = settle(table.estimator.channel_1, loss.channel_1, lost_command(state))
-    loss.previous_output = w
-    loss.delay[:] = w
 
 
 @firmware

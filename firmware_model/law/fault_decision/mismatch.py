@@ -184,8 +184,7 @@ def innovation(
     one = real(1.0, new)
     wander = min(state.change / state.extent, one) if state.extent > real(0.0, new) else one
     for i in range(n):
-        moves = wander if i >= LOSS_STATES else one
-        memory[i] = one - moves * constants.forgetting[i]
+        memory[i] = one - wander * constants.forgetting[i]
         theta[i] = memory[i] * (theta[i] + gain[i] * new)
     fade(state.covariance, n, memory)
     for i in range(LOSS_STATES, n):
