@@ -56,7 +56,7 @@ def whitening(channel_1: Sections, target: Target) -> Whitening:
         dynamics = np.array([[1.0, 0.0, 0.0], [1.0 - lag, lag, 0.0], [0.0, 1.0 - lag, lag]])
         variance = np.diag([target.disturbance**2 * target.tick_s, 0.0, 0.0])
         blocks.append((dynamics, variance, [0.0, 0.0, 1.0]))
-    if a > 0.0:
+    if a > 0.0 and noise > 0.0:
         blocks.append((np.array([[a]]), np.array([[noise]]), [1.0]))
     else:
         rounding += noise
