@@ -117,7 +117,9 @@ def test_a_rule_that_is_not_exact_leaves_a_tick_s_change_of_the_model() -> None:
     exact = predicted(tables_of(0)[0])
     np.testing.assert_allclose(exact[:, 1], whitened(EARLIER), atol=1e-12)
     assert not exact[:, 2:].any()
-    held = predicted(build(DESIGN, Target(TICK_S, 0, "tustin-held", noise_pole=COLOUR)))
+    held = predicted(
+        build(DESIGN, Target(TICK_S, 0, "tustin-held", noise_pole=COLOUR, noise_rms=NOISE_RMS))
+    )
     np.testing.assert_allclose(held[:, 2], REMAINDER)
     steps = np.diff(MODELLED, prepend=0.0) ** 2
     np.testing.assert_allclose(held[:, -1], fading_largest(steps), rtol=1e-9, atol=1e-300)
