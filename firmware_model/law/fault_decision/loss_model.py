@@ -134,8 +134,9 @@ def take_over_candidate(table: Table, state: layout.State, share: float, sign: f
     white = state.mismatch.white
     for i in range(table.mismatch.whitener.n):
         for j in range(2):
-            white[0, i, j] = earlier * white[0, i, j] + sign * test.white[0, i, j]
-            white[1, i, j] = 0.0
+            before = earlier * white.lost.memory[i, j]
+            white.lost.memory[i, j] = before + sign * test.white.memory[i, j]
+            white.earlier.memory[i, j] = 0.0
     for i in range(table.estimator.shown_ticks_1):
         loss.delay[i] = earlier * loss.delay[i] + sign * test.delay[i]
     loss.previous_output = earlier * loss.previous_output + sign * test.previous_output

@@ -34,7 +34,6 @@ from typing import TYPE_CHECKING, Annotated
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.covariance import (
     LOSS_STATES,
-    MAX_STATES,
     SIZES,
     clear_covariance,
     fade,
@@ -52,9 +51,6 @@ from firmware_model.law.structs import FloatArray, Struct
 if TYPE_CHECKING:
     from firmware_model.law import layout
     from firmware_model.law.layout import Table
-
-
-D_HAT, KNOWN_ERROR = MAX_STATES, MAX_STATES + 1  # rows of W's memories, after those of the x
 
 
 class Constants(Struct):
@@ -78,14 +74,25 @@ class Constants(Struct):
     remainder_shown: Annotated[float, "1", "x of the remainder: size of W for its time constant"]
 
 
+class White(Struct):
+    """The memories of W, one for each signal."""
+
+    lost: Annotated[whitener.State, "y", "w of a confirmed loss"]
+    earlier: Annotated[whitener.State, "y", "change of w with the moment of the loss"]
+    car_1: Annotated[whitener.State, "y", "x of the first other car"]
+    car_2: Annotated[whitener.State, "y", "of the second"]
+    car_3: Annotated[whitener.State, "y", "of the third"]
+    car_4: Annotated[whitener.State, "y", "of the fourth"]
+    d_hat: Annotated[whitener.State, "y", "d̂"]
+    sensor_error: Annotated[whitener.State, "y", "known error of the sensor"]
+
+
 class State(Struct):
     """State."""
 
     x: Annotated[FloatArray, "y", "x of the last tick", SIZES]
     regressor: Annotated[FloatArray, "y", "x of this tick, whitened", SIZES]
-    white: Annotated[
-        FloatArray, "y", "memories of W: each x, d̂, the known sensor error", (KNOWN_ERROR + 1, 2, 2)
-    ]
+    white: Annotated[White, "y", "memories of W"]
     theta: Annotated[FloatArray, "1", "θ", SIZES]
     covariance: Annotated[CovarianceState, "1", "P"]
     gain: Annotated[FloatArray, "1/y", "gain of the last update of θ", SIZES]
@@ -113,18 +120,25 @@ def predict_mismatch(
         earlier: the change of w if the loss were one tick older.
     """
     constants, mismatch, shown = table.mismatch, state.mismatch, state.other_cars.shown
-    x, previous, w, memory = mismatch.regressor, mismatch.x, constants.whitener, mismatch.white
+    x, previous, w, white = mismatch.regressor, mismatch.x, constants.whitener, mismatch.white
     extent = change = real(0.0, model_output)
-    x[0] = whiten(w, memory, 0, lost)
-    x[1] = whiten(w, memory, 1, earlier)
+    x[0] = whiten(w, white.lost, lost)
+    x[1] = whiten(w, white.earlier, earlier)
     previous[0], previous[1] = lost, earlier
     for i in range(table.other_cars.n):
         k, now = LOSS_STATES + i, shown[i]
-        x[k] = whiten(w, memory, k, now)
         moved = now - previous[k]
         previous[k] = now
         extent += now * now
         change += moved * moved
+    if table.other_cars.n > 0:
+        x[LOSS_STATES] = whiten(w, white.car_1, shown[0])
+    if table.other_cars.n > 1:
+        x[LOSS_STATES + 1] = whiten(w, white.car_2, shown[1])
+    if table.other_cars.n > 2:
+        x[LOSS_STATES + 2] = whiten(w, white.car_3, shown[2])
+    if table.other_cars.n > 3:
+        x[LOSS_STATES + 3] = whiten(w, white.car_4, shown[3])
     if constants.n > LOSS_STATES:
         x[constants.n - 1] = constants.remainder_shown
     moved = model_output - mismatch.previous_model_output
@@ -174,8 +188,9 @@ def innovation(
     n, x, gain = constants.n, state.regressor, state.gain
     theta, memory = state.theta, state.memory
     w = constants.whitener
-    new: float = whiten(w, state.white, D_HAT, residual) - share * x[0]
-    new += whiten(w, state.white, KNOWN_ERROR, known)
+    shown = whiten(w, state.white.d_hat, residual)
+    hidden = whiten(w, state.white.sensor_error, known)
+    new: float = shown + hidden - share * x[0]
     state.previous_residual = residual + known - share * state.x[0]
     for i in range(n):
         new -= x[i] * theta[i]
@@ -206,7 +221,11 @@ def clear_mismatch(constants: Constants, state: State) -> None:
     state.extent = state.change = state.rule = state.remainder = 0.0
     state.previous_model_output = 0.0
     state.previous_residual = 0.0
-    state.white[:] = 0.0
+    white = state.white
+    white.lost.memory[:] = white.earlier.memory[:] = 0.0
+    white.car_1.memory[:] = white.car_2.memory[:] = 0.0
+    white.car_3.memory[:] = white.car_4.memory[:] = 0.0
+    white.d_hat.memory[:] = white.sensor_error.memory[:] = 0.0
 
 
 @firmware
@@ -215,8 +234,11 @@ def settle_mismatch(table: Table, state: layout.State, model_output: float) -> N
     clear_mismatch(table.mismatch, state.mismatch)
     zero = real(0.0, model_output)
     predict_mismatch(table, state, model_output, zero, zero)
-    for i in range(LOSS_STATES, LOSS_STATES + table.other_cars.n):
-        settle_whitener(table.mismatch.whitener, state.mismatch.white, i, state.mismatch.x[i])
+    w, white, shown = table.mismatch.whitener, state.mismatch.white, state.other_cars.shown
+    settle_whitener(w, white.car_1, shown[0])
+    settle_whitener(w, white.car_2, shown[1])
+    settle_whitener(w, white.car_3, shown[2])
+    settle_whitener(w, white.car_4, shown[3])
     state.mismatch.change = state.mismatch.rule = state.mismatch.remainder = (
         0.0  # it came there long ago
     )

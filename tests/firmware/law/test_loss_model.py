@@ -63,16 +63,16 @@ def test_behind_the_whitener_s_w_is_continuous_too(sign: float) -> None:
     """The innovation subtracts s W w: after the take-over the sum of both that were known."""
     table = build(DESIGN, Target(TICK_S, noise_rms=0.01, noise_pole=0.6, disturbance=0.2))
     state = controller.init(table)[0]
-    w, candidate = state.mismatch.white, state.sequential_test.white
+    w, candidate = state.mismatch.white.lost, state.sequential_test.white
     for old, new in np.random.default_rng(2).standard_normal((9, 2)):
-        whiten(table.mismatch.whitener, w, 0, old)
-        whiten(table.mismatch.whitener, candidate, 0, new)
+        whiten(table.mismatch.whitener, w, old)
+        whiten(table.mismatch.whitener, candidate, new)
     state.loss_model.share = 0.5
     apart, share = state.copy(), 0.8
     take_over_candidate(table, state, share, sign)
-    memories = (state.mismatch.white, apart.mismatch.white, apart.sequential_test.white)
+    signals = (state.mismatch.white.lost, apart.mismatch.white.lost, apart.sequential_test.white)
     for _ in range(6):  # whatever comes: here, nothing
-        together, old, new = (whiten(table.mismatch.whitener, each, 0, 0.0) for each in memories)
+        together, old, new = (whiten(table.mismatch.whitener, each, 0.0) for each in signals)
         assert share * together == pytest.approx(0.5 * old + sign * share * new, abs=1e-12)
         assert abs(together) > 1e-9
 

@@ -138,7 +138,7 @@ def test_a_candidate_begins_with_the_commands_that_are_on_their_way(latency: int
     np.testing.assert_array_equal(test.earlier.accumulators, before.accumulators)
     others = ("evidence", "correlation", "information", "age", "half_age")
     assert [test[name] for name in (*others, "half_information")] == [0.0] * 6
-    assert not test.white.any()
+    assert not test.white.memory.any()
     assert not test.explained.any()
 
 

@@ -12,9 +12,9 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.discretisation.whitening import whitening
 from firmware_model.law.filters.whitener import (
-    ONE_SIGNAL,
     Constants,
-    add_memory,
+    State,
+    add_signal,
     settle_whitener,
     whiten,
 )
@@ -33,12 +33,16 @@ def constants_of(**noise: float) -> tuple[Any, Any]:
     return constants, sections.sos
 
 
+def at_rest() -> Any:
+    return np.zeros(1, record_type(State, "float64"))[0]
+
+
 @pytest.mark.parametrize("noise", [{"noise_pole": 0.6}, {"noise_pole": 0.6, "disturbance": 0.2}])
 def test_the_answers_are_those_of_scipy(noise: dict[str, float]) -> None:
     constants, sos = constants_of(**noise)
-    memory = np.zeros((2, *ONE_SIGNAL[1:]))
-    ours = [[whiten(constants, memory, row, u) for u in DRAWN[row]] for row in (0, 1)]
-    np.testing.assert_allclose(ours, signal.sosfilt(sos, DRAWN), atol=1e-12)
+    state = at_rest()
+    ours = [whiten(constants, state, u) for u in DRAWN[0]]
+    np.testing.assert_allclose(ours, signal.sosfilt(sos, DRAWN[0]), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -46,20 +50,21 @@ def test_the_answers_are_those_of_scipy(noise: dict[str, float]) -> None:
 )
 def test_a_settled_whitener_goes_on_with_the_gain_at_rest(noise: dict[str, float]) -> None:
     constants, sos = constants_of(**noise)
-    memory = np.full(ONE_SIGNAL, 7.0)
-    settle_whitener(constants, memory, 0, 3.0)
-    at_rest = float(np.prod(sos[:, :3].sum(axis=1) / sos[:, 3:].sum(axis=1)))
+    state = at_rest()
+    state.memory[:] = 7.0
+    settle_whitener(constants, state, 3.0)
+    gain = float(np.prod(sos[:, :3].sum(axis=1) / sos[:, 3:].sum(axis=1)))
     for _ in range(5):
-        assert whiten(constants, memory, 0, 3.0) == pytest.approx(3.0 * at_rest, abs=1e-12)
+        assert whiten(constants, state, 3.0) == pytest.approx(3.0 * gain, abs=1e-12)
 
 
 def test_memories_add_up_like_signals() -> None:
     """Linear: the memory of u + f v is that of u plus f times that of v."""
     constants, _ = constants_of(noise_pole=0.6, disturbance=0.2)
-    own, other, both = (np.zeros(ONE_SIGNAL) for _ in range(3))
+    own, other, both = at_rest(), at_rest(), at_rest()
     for u, v in DRAWN.T:
-        whiten(constants, own, 0, u)
-        whiten(constants, other, 0, v)
-        whiten(constants, both, 0, u - 2.5 * v)
-    add_memory(constants, own, 0, -2.5, other)
-    np.testing.assert_allclose(own, both, atol=1e-12)
+        whiten(constants, own, u)
+        whiten(constants, other, v)
+        whiten(constants, both, u - 2.5 * v)
+    add_signal(constants, own, -2.5, other)
+    np.testing.assert_allclose(own.memory, both.memory, atol=1e-12)

@@ -10,10 +10,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.mismatch import KNOWN_ERROR
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output
-from firmware_model.law.filters.whitener import add_memory
+from firmware_model.law.filters.whitener import add_signal
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
 
@@ -68,12 +67,12 @@ def learn_sensor_error(
     for i in range(table.estimator.measurement.n):
         for j in range(2):
             own.answer.accumulators[i, j] -= size * found.answer.accumulators[i, j]
-    white = state.mismatch.white
-    add_memory(table.mismatch.whitener, white, KNOWN_ERROR, -size, found.candidate.white)
+    white = state.mismatch.white.sensor_error
+    add_signal(table.mismatch.whitener, white, -size, found.candidate.white)
     gone: bool = abs(own.offset) < half * abs(before)
     if gone:
         clear_sensor_error(own)
-        white[KNOWN_ERROR, :, :] = 0.0
+        white.memory[:] = 0.0
     return gone
 
 
