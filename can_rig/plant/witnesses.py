@@ -17,7 +17,7 @@ from can_rig.frames.codec import MessageCodec
 from can_rig.frames.hearing import AGE, nothing_heard
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import NoiseColumns
-from can_rig.scenario.sensor_settings import ECHOES, MEASURED
+from can_rig.scenario.sensor_settings import ECHOES, MEASURED, SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import GRID, frame_of
 from firmware_model.analysis.simulation import AnyPlant
@@ -198,7 +198,7 @@ class Sensed:
         for each in self.said[-1]:
             name = self._names[each.sensor]
             found[name] = each.value if each.valid else math.nan
-            found[name + AGE] = self._tick - 1 - each.sample_tick
+            found[name + AGE] = (self._tick - 1 - each.sample_tick) % SAMPLE_TICKS
         return found
 
 

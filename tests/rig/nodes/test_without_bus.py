@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.making import PEER
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import RigError
 from can_rig.frames.endpoints import Transmitter
@@ -97,7 +98,7 @@ def test_the_folder_is_that_of_both_nodes(name: str, changes: list[str], tmp_pat
     assert {key for key in without if without[key] != on_a_bus[key]} == set()
 
 
-@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     sensors=st.lists(
         st.fixed_dictionaries({
@@ -121,10 +122,18 @@ def test_any_sensors_send_the_frames_of_both_nodes(
     sensors: list[dict[str, Any]], more: dict[str, Any]
 ) -> None:
     scenario = draft("sensed", {"duration_s": 0.15, "sensor": sensors, **more}).scenario
+    on_a_bus = PEER if "controller" in more else PYTHON
     with TemporaryDirectory() as where:
-        without, on_a_bus = folders(scenario, Path(where))
-        assert {key for key in without if without[key] != on_a_bus[key]} == set()
-        assert any(int(line.split()[2][:3], 16) < 0x100 for line in without["bus.log"].splitlines())
+        logs = [Path(where, name) for name in ("a.log", "b.log")]
+        ours = run_without_bus(scenario, logs[0], StopRequest(), lambda tick: None)
+        theirs = run_in_process(
+            scenario, "virtual:sensed", logs[1], StopRequest(), lambda tick: None, on_a_bus
+        )
+        for suffix in (".log", ".plant.csv"):
+            one, other = (log.with_suffix(suffix).read_bytes() for log in logs)
+            assert one == other
+            assert one.count(b"\n") > 150
+    assert ours.rejected_frames == theirs.rejected_frames
 
 
 @pytest.mark.parametrize("name", DRIVES)
