@@ -23,7 +23,7 @@ from can.util import channel2int
 from numpy.typing import NDArray
 
 from can_rig.errors import LogError, one_line
-from can_rig.logs.formats.inflate import InflateError, inflated
+from can_rig.logs.compression import InflateError, inflated
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     CLASSIC_BYTES,
