@@ -3,6 +3,14 @@
 from __future__ import annotations
 
 from can_rig.controllers import SERIAL
+from can_rig.controllers.compiled_law import CompiledLaw
+from can_rig.controllers.ecus import (
+    BenchEcu,
+    EmulatedBoard,
+    HostEcu,
+    host_library,
+    serial_ecu,
+)
 from can_rig.controllers.filters_law import filters_law
 from can_rig.controllers.library import LibraryController
 from can_rig.controllers.our_law import PYTHON, in_node
@@ -10,6 +18,8 @@ from can_rig.controllers.peer import Peer, class_of
 from can_rig.controllers.protocol import InNode, NodeController, Supplied, WholeNode
 from can_rig.controllers.setup import ControllerSetup
 from can_rig.errors import ExportError, require
+from can_rig.export.application import application, identity
+from can_rig.export.boards import firmware_image
 from can_rig.frames.network import Network
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controller_settings import FILTERS
@@ -64,23 +74,18 @@ def controller_of(name: str, scenario: Scenario) -> Supplied:
         return PEER
     if name == "python":
         return PYTHON
-    from can_rig.controllers import compiled_law, ecus  # noqa: PLC0415 (the export is slow)
-    from can_rig.export import application, boards  # noqa: PLC0415
-
     if name == "c":
         return in_node(
-            compiled_law.CompiledLaw(
-                scenario.design.precision, changes_speed=scenario.drive.is_given
-            )
+            CompiledLaw(scenario.design.precision, changes_speed=scenario.drive.is_given)
         )
     if name == "ecu":
-        library = ecus.host_library(scenario)
-        return WholeNode(lambda: ecus.HostEcu(library))
+        library = host_library(scenario)
+        return WholeNode(lambda: HostEcu(library))
     receivers = network_of(scenario).offered
     if name.startswith(SERIAL):
-        expected = application.identity(application.application(scenario))
+        expected = identity(application(scenario))
         port = name.removeprefix(SERIAL)
-        return WholeNode(lambda: ecus.serial_ecu(port, expected, scenario.name, receivers))
+        return WholeNode(lambda: serial_ecu(port, expected, scenario.name, receivers))
     board = name.removeprefix("arm:")
-    image = boards.firmware_image(scenario, board)
-    return WholeNode(lambda: ecus.BenchEcu(ecus.EmulatedBoard(image, board), receivers))
+    image = firmware_image(scenario, board)
+    return WholeNode(lambda: BenchEcu(EmulatedBoard(image, board), receivers))
