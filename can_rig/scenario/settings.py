@@ -266,7 +266,7 @@ class BudgetSettings:
     actuator_box: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     false_alarms_per_hour: PositiveFloat = 0.001
     suspicions_per_hour: PositiveFloat = 3600.0
-    disturbance_mps2: NonNegativeFloat = 0.0
+    disturbance_mps2: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     peak_sensitivity: Annotated[float, Field(gt=1.0)] = 5.0
     spare_ticks: NonNegativeInt = 0
 

@@ -14,6 +14,7 @@ from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.discretisation.whitening import mean_delay, whitening
+from firmware_model.errors import ParameterError
 from tests.firmware.law.cases import CAR
 
 TICK_S = 1e-3
@@ -38,6 +39,18 @@ def test_the_spectrum_behind_the_whitener_is_flat(
     spectrum = abs(walk) ** 2 + abs(sensor) ** 2 + resolution**2 / 12.0 + 1e-18
     flat = abs(found.sections(z)) ** 2 * spectrum / found.variance
     np.testing.assert_allclose(flat, 1.0, rtol=1e-3)
+
+
+@pytest.mark.parametrize("noise_pole", [0.0, 0.5])
+def test_a_disturbance_that_noise_hides_is_refused(noise_pole: float) -> None:
+    """From a hundred-thousandth of the noise's white part in a tick on the design is right."""
+    least = 1e-5 * 1000.0 * math.sqrt((1.0 - noise_pole**2) / TICK_S)
+    noise = {"noise_rms": 1000.0, "noise_pole": noise_pole}
+    with pytest.raises(ParameterError, match="must be 0, or at least"):
+        whitening(G1, Target(TICK_S, **noise, disturbance=0.99 * least))
+    found = whitening(G1, Target(TICK_S, **noise, disturbance=1.01 * least))
+    white = 1000.0**2 * (1.0 - noise_pole**2)
+    assert found.variance == pytest.approx(white, rel=1e-3)
 
 
 def test_white_noise_needs_no_whitener() -> None:
