@@ -38,8 +38,7 @@ from can_rig.decoding.j1939 import (
 from can_rig.decoding.message_decoder import Counts, MessageColumns, MessageDecoder, joined
 from can_rig.errors import DbcError
 from can_rig.frames.databases import load_database
-from can_rig.logs.frames import ERROR, EXTENDED, Frames, concatenate
-from can_rig.logs.log import window_of
+from can_rig.logs.frames import ERROR, EXTENDED, Frames, concatenate, window_of
 from can_rig.logs.reading import read_log
 
 Databases = Database | Sequence[tuple[str | None, Database]]

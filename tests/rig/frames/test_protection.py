@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from can_rig.frames.protection import Checker, CheckStatus, Protector
+from can_rig.frames.codec import Checker, CheckStatus, Protector
 
 DATA_ID = 0x5B11
 
