@@ -202,7 +202,6 @@ def decode_log(
     database: Databases | str | Path,
     messages: Collection[str] | None = None,
     signals: Collection[str] | None = None,
-    channel: str | None = None,
     *,
     from_s: float | None = None,
     to_s: float | None = None,
@@ -214,7 +213,6 @@ def decode_log(
         database: a cantools database, a database file, or several databases as in `Decoder`.
         messages: see `Decoder`.
         signals: see `Decoder`.
-        channel: see `Decoder`.
         from_s: only frames from so many seconds after the start of the recording on.
         to_s: only frames before this time after the start of the recording.
 
@@ -224,7 +222,7 @@ def decode_log(
     """
     if isinstance(database, str | Path):
         database = load_database(database)
-    decoder = Decoder(database, messages, signals, channel)
+    decoder = Decoder(database, messages, signals)
     log = read_log(path, window=window_of(from_s, to_s))
     parts: dict[str, list[MessageColumns]] = {}
     for frames in log:

@@ -29,6 +29,7 @@ bursts.
 
 Source: AUTOSAR SWS E2E Library (Doc. 428), "Specification of E2E Profile 1": data identifier mode
 E2E_P01_DATAID_BOTH, E2E_P01Protect and E2E_P01Check. Configuration: SyncCounterInit is 1;
+MaxDeltaCounterInit is 1;
 MaxNoNewOrRepeatedData is 14, which disables its monitor.
 
 **Ends.** `Transmitter` and `Receiver`; `Hearing` receives further sensors, whose frames come with
@@ -131,33 +132,26 @@ class Checker:
 
     Call `check` for every arrived frame, and `no_new_data` for every missing frame. Each call
     without a usable frame widens the tolerated counter step by one, because the sender continues
-    counting; a usable frame resets the step to ``max_delta_counter``. After a larger step the
+    counting; a usable frame resets the step to 1. After a larger step the
     received counter is adopted, and one more frame in sequence (SYNC) is needed before the content
     is used again.
 
     Args:
         data_id: identifier of the frame, as at the sender.
-        max_delta_counter: tolerated number of frames lost between two that arrive in successive
-            calls, 1..14 (MaxDeltaCounterInit).
         length: of its frames [byte].
 
     Raises:
         ValueError: an argument out of range.
     """
 
-    __slots__ = (
-        "_counts", "_last", "_length", "_next", "_sync", "_window", "data_id", "max_delta_counter",
-    )  # fmt: skip
+    __slots__ = ("_counts", "_last", "_length", "_next", "_sync", "_window", "data_id")
 
-    def __init__(self, data_id: int, max_delta_counter: int = 1, length: int = FRAME_BYTES) -> None:
-        if not 1 <= max_delta_counter <= _LARGEST_DELTA:
-            raise ValueError(f"max_delta_counter is {max_delta_counter}; it must be 1..14")
+    def __init__(self, data_id: int, length: int = FRAME_BYTES) -> None:
         self.data_id: Final = _require_data_id(data_id)
-        self.max_delta_counter: Final = max_delta_counter
         self._length = length
         self._last: int | None = None  # counter of the last accepted frame
         self._next: int | None = None  # the counter of an OK frame; None where that is not enough
-        self._window = max_delta_counter  # largest tolerated step at the last call
+        self._window = 1  # largest tolerated step at the last call
         self._sync = 0  # frames in sequence still needed before use
         self._counts = [0] * len(CheckStatus)
 
@@ -171,7 +165,7 @@ class Checker:
         if frames and self._next is not None:
             self._last = (self._next + frames - 1) % COUNTERS
             self._next = _AFTER[self._last]
-            self._window = self.max_delta_counter
+            self._window = 1
             self._counts[_OK] += frames
 
     @property
@@ -184,7 +178,7 @@ class Checker:
         intact = len(data) == self._length and e2e_p01_check(data, self.data_id)
         if intact and data[1] & 0x0F == self._next:  # the usual case, made quick
             self._last, self._next = self._next, _AFTER[self._next]
-            self._window = self.max_delta_counter
+            self._window = 1
             self._counts[_OK] += 1
             return _OK
         self._window += 1  # SWS E2E limits the window to 14, which tolerates every step
@@ -229,7 +223,7 @@ class Checker:
         """Adopt this counter, with the initial tolerance."""
         self._last = received
         self._next = None if self._sync else _AFTER[received]
-        self._window = self.max_delta_counter
+        self._window = 1
         return status
 
 
@@ -572,16 +566,13 @@ class Receiver:
 
     Args:
         codec: the frame.
-        max_delta_counter: see `Checker`.
     """
 
-    def __init__(self, codec: MessageCodec, max_delta_counter: int = 1) -> None:
+    def __init__(self, codec: MessageCodec) -> None:
         self.codec: Final = codec
         length = codec.layout.length
         self.checker: Final[Checker] = (
-            Unprotected(length)
-            if codec.data_id is None
-            else Checker(codec.data_id, max_delta_counter, length)
+            Unprotected(length) if codec.data_id is None else Checker(codec.data_id, length)
         )
         self._length = length
         self._has_tick = codec.layout.has_tick
