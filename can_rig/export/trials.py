@@ -207,9 +207,6 @@ def random_table(
     table.mismatch.n = 0 if random.random() < 0.1 else cars.n + 3
     table.reference_shaper.enabled = random.integers(0, 2)
     table.compensator.on_confirmation = random.integers(0, 2)
-    table.decision.tracks_share = int(random.random() < 0.2)
-    table.decision.pause_ticks = random.integers(0, 5)
-    table.probe.ticks = random.choice([0, 0, 3])
     return tables
 
 
@@ -238,8 +235,6 @@ def random_state(
         state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
     state.mode, state.fault_state = random.integers(0, 4, 2)
     state.hypotheses.verdict = random.integers(0, len(Verdict))
-    state.probe.tick = random.integers(0, table.probe.ticks + 1)
-    state.decision.pause = random.integers(0, 4)
     state.mismatch.covariance.variances[:] = abs(state.mismatch.covariance.variances)
     return states
 
