@@ -188,12 +188,6 @@ def test_data_id_out_of_range_is_refused(data_id):
         Checker(data_id)
 
 
-@pytest.mark.parametrize("max_delta_counter", [0, 15])
-def test_max_delta_counter_out_of_range_is_refused(max_delta_counter):
-    with pytest.raises(ValueError, match=r"must be 1\.\.14"):
-        Checker(DATA_ID, max_delta_counter)
-
-
 def test_reject_counts_what_is_wrong_with_a_frame_and_leaves_the_sequence_alone():
     checker = Checker(DATA_ID)
     assert checker.check(frame(3)) is CheckStatus.INITIAL
