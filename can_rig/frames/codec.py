@@ -270,7 +270,7 @@ class Hearing:
         self.receivers: Final = tuple(Receiver(codec) for codec in codecs)
         self._timings, self._names = timings, names
         self._by_id = {codec.frame_id: at for at, codec in enumerate(codecs)}
-        self._now = self._nothing()
+        self._now = nothing_heard(names)
 
     def concerns(self, message: Message) -> bool:
         """Whether ``message`` has the identifier of a further sensor."""
@@ -293,11 +293,13 @@ class Hearing:
         for receiver, (period, phase, _) in zip(self.receivers, self._timings, strict=True):
             if tick >= phase and (tick - phase) % period == 0:
                 receiver.end_tick()
-        found, self._now = self._now, self._nothing()
+        found, self._now = self._now, nothing_heard(self._names)
         return found
 
-    def _nothing(self) -> dict[str, float]:
-        return {name + end: math.nan for name in self._names for end in ("", AGE)}
+
+def nothing_heard(names: Sequence[str]) -> dict[str, float]:
+    """Value and age of the samples of sensors that sent nothing."""
+    return {name + end: math.nan for name in names for end in ("", AGE)}
 
 
 WIRE_TICKS: Final = 1 << 16
