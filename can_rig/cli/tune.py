@@ -8,8 +8,7 @@ from pathlib import Path
 import click
 
 from can_rig.assessment.resolve import load
-from can_rig.assessment.tuning.box import cars_of
-from can_rig.assessment.tuning.candidate import NoTuningError, refusals_as_dict
+from can_rig.assessment.tuning.candidate import NoTuningError, cars_of, refusals_as_dict
 from can_rig.assessment.tuning.report import (
     as_dict,
     headings,
@@ -19,8 +18,7 @@ from can_rig.assessment.tuning.report import (
 )
 from can_rig.assessment.tuning.search import Tunings, tune
 from can_rig.cli.options import json_option, scenario_options
-from can_rig.cli.output import json_line, say, show, table
-from can_rig.cli.progress import progress
+from can_rig.cli.output import json_line, progress, say, show, table
 from can_rig.files import atomic, refuse_existing
 
 PICTURE = "tuning.png"
