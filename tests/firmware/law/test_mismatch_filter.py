@@ -113,13 +113,14 @@ def test_the_variance_of_an_innovation_is_never_below_that_of_the_noise(
     constants, state = begun(precision, noise=noise)
     of_loss = np.array([0.09, 25.0], precision)
     learn_loss(state, *of_loss)
-    still = 10.0 * draw.standard_normal(MAX_STATES)
+    still, real = 10.0 * draw.standard_normal(MAX_STATES), state.extent.dtype.type
     for _ in range(200):
         state.regressor[:] = still * (1.0 + moves * draw.standard_normal(MAX_STATES))
         state.extent, state.change, state.remainder = 1.0, moves, 0.1 * moves
-        innovation(
-            constants, state, state.extent.dtype.type(1e-3 * draw.standard_normal()), 0.0, 0.0
+        residual, known, share = (
+            real(value) for value in (1e-3 * draw.standard_normal(), 0.0, 0.0)
         )
+        innovation(constants, state, residual, known, share)
         assert state.variance >= constants.noise
         assert (state.covariance.variances >= 0.0).all()
         assert np.isfinite(state.theta).all()
