@@ -19,8 +19,7 @@ from can_rig.assessment.tuning.report import (
 )
 from can_rig.assessment.tuning.search import Tunings, tune
 from can_rig.cli.options import json_option, scenario_options
-from can_rig.cli.output import json_line, say, show, table
-from can_rig.cli.progress import progress
+from can_rig.cli.output import json_line, progress, say, show, table
 from can_rig.files import atomic, refuse_existing
 
 PICTURE = "tuning.png"
@@ -106,7 +105,7 @@ def command(
     except NoTuningError as error:
         _tell_refusals(error, as_json)
         sys.exit(error.exit_status)
-    from can_rig.assessment.tuning.picture import draw_tunings  # noqa: PLC0415 (matplotlib)
+    from can_rig.assessment.tuning.report import draw_tunings  # noqa: PLC0415 (matplotlib)
 
     with atomic(picture, force=force) as part:
         draw_tunings(part, found)

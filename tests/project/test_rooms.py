@@ -124,9 +124,9 @@ BROKEN = (
     ("firmware_model/firmware.py", "import can", "firmware_model.firmware -> can "),
     ("firmware_model/compiled.py", "import time", "firmware_model.compiled -> time "),
     (
-        "can_rig/frames/protection.py",
-        "from can_rig.frames import endpoints",
-        ".protection -> .endpoints",
+        "can_rig/frames/codec.py",
+        "from can_rig.frames import network",
+        ".codec -> .network",
     ),
     ("can_rig/attic/__init__.py", "from can_rig import errors", "- can_rig.attic "),
 )

@@ -13,7 +13,7 @@ from can_rig.assessment.resolve import load
 from can_rig.controllers.making import controller_of
 from can_rig.controllers.our_law import PYTHON, OurLaw
 from can_rig.controllers.protocol import Answer, InNode, Inputs
-from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.codec import Transmitter
 from can_rig.frames.operator_frames import Command, taken_message
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
