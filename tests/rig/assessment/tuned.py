@@ -9,7 +9,7 @@ from itertools import product
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.assessment.tuning.box import cars, parameter_ranges
+from can_rig.assessment.tuning.candidate import cars, parameter_ranges
 from can_rig.assessment.tuning.search import Tunings, tune
 from can_rig.scenario.settings import Scenario
 
