@@ -38,8 +38,7 @@ from can_rig.frames.comparison_frames import (
     ComparisonFrame,
     digest,
 )
-from can_rig.nodes.bus_access import NodeBus, PersistentSender
-from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
+from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Clock, NodeBus, PersistentSender
 from can_rig.scenario.plant_settings import FMU
 from can_rig.scenario.settings import LISTS, Scenario
 
