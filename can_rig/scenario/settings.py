@@ -18,8 +18,8 @@ from pydantic.dataclasses import dataclass
 from can_rig.scenario.controller_settings import ControllerSettings
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import (
+    CHANNELS,
     MAX_DURATION_S,
-    SENSOR,
     FaultSettings,
     Moment,
     outages,
@@ -441,7 +441,9 @@ class Scenario:
     @property
     def loss(self) -> FaultSettings:
         """The loss to prepare for: the first fault of a channel, otherwise a default loss."""
-        first = self.fault[0] if self.fault and self.fault[0].channel != SENSOR else FaultSettings()
+        first = (
+            self.fault[0] if self.fault and self.fault[0].channel in CHANNELS else FaultSettings()
+        )
         return next((fault for fault in self.faults if fault.loses_a_channel), first)
 
     @property
@@ -507,7 +509,17 @@ def _refuse_speeds(scenario: Scenario) -> None:
 
 
 def _refuse_sensors(scenario: Scenario) -> None:
-    """Refuse two sensors of one quantity, times between ticks, and quantities of another plant."""
+    """Refuse two sensors of one quantity, times between ticks, and quantities of another plant.
+
+    Refuse also faults of sensors that are not there.
+    """
+    there = [each.measures for each in scenario.sensor]
+    for fault in scenario.faults:
+        if fault.channel in MEASURED and fault.channel not in there:
+            raise ValueError(
+                f"fault.channel = {fault.channel!r}: must be a sensor of the scenario; it has "
+                f"{', '.join(there) or 'none'}"
+            )
     if scenario.sensor and scenario.network.signals:
         raise ValueError(
             "sensor: network.signals: must not be set; further sensors have messages in the rig's "

@@ -1,5 +1,6 @@
 """Further sensors: their frames against an integration by scipy, the loops, and bad input."""
 
+import csv
 import math
 
 import can
@@ -125,12 +126,70 @@ def test_a_run_has_the_same_frames_in_one_process_and_in_two(tmp_path):
     assert b"0F1#" in one
 
 
+def test_signals_have_a_column_for_each_sensor_behind_all_others(tmp_path):
+    found = frames(run(scenario(), tmp_path / "run"))
+    with (tmp_path / "run" / "signals.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    said = {
+        "measured_yaw_rate_rad_per_s": ("YAW_RATE", "YawRate"),
+        "measured_lateral_acceleration_mps2": ("LATERAL_ACCELERATION", "LateralAcceleration"),
+        "measured_steering_angle_rad": ("STEERING_ANGLE", "SteeringAngle"),
+        "torque_echo_nm": ("STEER_TORQUE_ECHO", "AppliedTorque"),
+    }
+    assert list(rows[0])[-len(said) :] == list(said)
+    for column, (name, signal) in said.items():
+        values = {tick: row[column] for tick, row in enumerate(rows) if row[column]}
+        sent = {round(time_s / TICK_S): signals[signal] for time_s, signals in found[name]}
+        assert values.keys() == sent.keys()
+        for tick, value in values.items():
+            assert float(value) == pytest.approx(sent[tick], rel=1e-8, abs=1e-12)
+
+
 def test_further_sensors_change_no_other_frame(tmp_path):
     unfiltered = [{**each, "corner_hz": 0.0} for each in SENSORS]
     with_them = frames(run(scenario(sensor=unfiltered), tmp_path / "with"))
     without = frames(run(scenario(sensor=[]), tmp_path / "without"))
     for name, said in without.items():
         assert [signals for _, signals in said] == [signals for _, signals in with_them[name]]
+
+
+FAULTS = [
+    ({"kind": "sensor-biased", "offset": 0.05}, lambda y, k: y + 0.05),
+    ({"kind": "sensor-drift", "drift_per_s": 0.2}, lambda y, k: y + 0.2 * (k - 200) * TICK_S),
+    ({"kind": "sensor-dead", "left": 0.25}, lambda y, k: 0.25 * y),
+    ({"kind": "sensor-stuck", "value": -0.1}, lambda y, k: -0.1),
+]
+
+
+@pytest.mark.parametrize(("fault", "expected"), FAULTS, ids=lambda each: str(each)[:24])
+def test_a_fault_of_a_further_sensor_changes_its_frames_and_no_other(tmp_path, fault, expected):
+    sensors = [{**each, "delay_s": 0.0} for each in SENSORS]
+    faulty = {"channel": "yaw-rate", "at_s": 0.2, "for_s": 0.1, **fault}
+    healthy = frames(run(scenario(sensor=sensors), tmp_path / "healthy"))
+    found = frames(run(scenario(sensor=sensors, fault=faulty), tmp_path / "faulty"))
+    again = run(scenario(sensor=sensors, fault=faulty), tmp_path / "two", runner=two_processes)
+    assert again.read_bytes() == (tmp_path / "faulty" / "bus.log").read_bytes()
+    for (time_s, said), (_, other) in zip(healthy["YAW_RATE"], found["YAW_RATE"], strict=True):
+        tick = round(time_s / TICK_S)
+        wanted = expected(said["YawRate"], tick) if 200 <= tick < 300 else said["YawRate"]
+        assert other["YawRate"] == pytest.approx(wanted, abs=1.1e-5)
+    for name in healthy.keys() - {"YAW_RATE"}:
+        assert found[name] == healthy[name]
+
+
+BAD_FAULTS = [
+    ({"kind": "sensor-dead", "channel": "force-difference-echo"}, "fault.channel = 'force-diff"),
+    ({"kind": "actuator-dead", "channel": "yaw-rate"}, "fault.channel = 'yaw-rate': must be one"),
+    ({"kind": "frames-missing", "channel": "yaw-rate"}, "fault.channel = 'yaw-rate': must be one"),
+    ({"kind": "sensor-biased", "channel": "yaw-rate"}, "fault.offset: must be set"),
+]
+
+
+@pytest.mark.parametrize(("fault", "line"), BAD_FAULTS, ids=str)
+def test_an_impossible_fault_of_a_further_sensor_is_refused(fault, line):
+    with pytest.raises(ScenarioError) as refused:
+        scenario(fault=fault)
+    assert line in str(refused.value) and "\n" not in str(refused.value)
 
 
 BAD = [
