@@ -22,7 +22,7 @@ import numpy as np
 from cantools.database.can import Message
 
 from can_rig.decoding.decode import Decoder
-from can_rig.decoding.message_columns import MessageColumns
+from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.errors import RigError
 from can_rig.frames.databases import load_database
 from can_rig.logs.frames import CLASSIC_BYTES, EXTENDED, FD_BYTES, Frames

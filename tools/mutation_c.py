@@ -28,8 +28,16 @@ from can_rig.assessment.resolve import load
 from can_rig.export.application import application, bench
 from can_rig.export.compiler import run
 from can_rig.export.law import law_files, support
-from can_rig.export.programs import HOST_FLAGS, as_orders, trial_files
-from can_rig.export.trials import Trial, different, encoded, in_python, random_trials
+from can_rig.export.trials import (
+    HOST_FLAGS,
+    Trial,
+    as_orders,
+    different,
+    encoded,
+    in_python,
+    random_trials,
+    trial_files,
+)
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 

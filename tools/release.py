@@ -103,7 +103,7 @@ def tried(package: Path, version: str, own_packages: bool) -> None:
         command = (folder / "venv" / "bin" / "can-rig", *TRIAL, "--set", "duration_s=0.2")
         run(*command, "--out", "run", cwd=folder, env=environment)
         summary = json.loads((folder / "run" / "run.json").read_text("utf-8"))
-        found, where = run(python, "-c", ASK, cwd=folder).split()
+        found, where = run(python, "-c", ASK, cwd=folder, env=environment).split()
         if summary["outcome"] != "complete" or not where.startswith(name) or found != version:
             fail(f"{package.name}: {found} from {where} ran to the outcome {summary['outcome']}")
 

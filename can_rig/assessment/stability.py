@@ -455,17 +455,11 @@ def _reason(scenario: Scenario, state: str, radius: float) -> str:
 
 
 def _isolation(scenario: Scenario) -> str:
-    (output, lost, _), probe = names_of(scenario.plant), scenario.design.probe_nm
-    if probe > 0.0:
-        asked = f"{lost.short} probe of {with_unit(f'{probe:g}', lost.unit)} goes unanswered"
-        biased = f"a bias of {output.said} stays suspected"
-        return f"isolation: a loss is confirmed only when a {asked}; {biased}"
-    if scenario.design.estimator == "kalman":
-        return "isolation: none: where a share is followed nothing decides whose fault it is"
+    lost = names_of(scenario.plant)[1]
     other = f"another {scenario.plant.noun}"
     told = f"the evidence tells either actuator, the sensor and {other} apart"
     alike = f"a steady {lost.short} offset or a slow drift of the sensor may look like"
-    return f"isolation: {told}; {alike} a partial loss, which design.probe_nm tells from both"
+    return f"isolation: {told}; {alike} a partial loss"
 
 
 def _channel(scenario: Scenario) -> str:

@@ -93,7 +93,8 @@ class Base:
 
     def has(self, key: str) -> bool:
         """Whether the key exists, set or not."""
-        return has_key(self.values, key)
+        table = value_in(self.values, key.rpartition(".")[0])
+        return isinstance(table, dict) and key.rpartition(".")[2] in table
 
     def drawn(self, key: str, axis: AxisSettings, unit: float) -> Scalar:
         """The value of an axis at a position in [0, 1], without the values of other keys."""
@@ -396,12 +397,6 @@ class Plan:
             return np.asarray(qmc.LatinHypercube(dimensions, seed=draw).random(runs))
         with warnings.catch_warnings(action="ignore"):  # about a number that is no power of two
             return np.asarray(qmc.Sobol(dimensions, seed=draw).random(runs))
-
-
-def has_key(scenario: Mapping[str, Any], key: str) -> bool:
-    """Whether the key exists, set or not."""
-    table = value_in(scenario, key.rpartition(".")[0])
-    return isinstance(table, dict) and key.rpartition(".")[2] in table
 
 
 def _one_of(names: list[str], unit: float) -> str:

@@ -21,8 +21,7 @@ from can_rig.cli.options import (
 from can_rig.cli.output import note, say
 from can_rig.cli.progress import reading
 from can_rig.decoding.decode import Decoder
-from can_rig.decoding.message_columns import MessageColumns, joined
-from can_rig.decoding.message_decoder import MessageDecoder
+from can_rig.decoding.message_decoder import MessageColumns, MessageDecoder, joined
 from can_rig.errors import DbcError, LogError
 from can_rig.files import atomic, refuse_picture
 from can_rig.logs.log import window_of

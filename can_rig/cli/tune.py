@@ -106,7 +106,7 @@ def command(
     except NoTuningError as error:
         _tell_refusals(error, as_json)
         sys.exit(error.exit_status)
-    from can_rig.assessment.tuning.picture import draw_tunings  # noqa: PLC0415 (matplotlib)
+    from can_rig.assessment.tuning.report import draw_tunings  # noqa: PLC0415 (matplotlib)
 
     with atomic(picture, force=force) as part:
         draw_tunings(part, found)

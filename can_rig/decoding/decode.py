@@ -35,8 +35,7 @@ from can_rig.decoding.j1939 import (
     is_transport,
     with_source,
 )
-from can_rig.decoding.message_columns import MessageColumns, joined
-from can_rig.decoding.message_decoder import Counts, MessageDecoder
+from can_rig.decoding.message_decoder import Counts, MessageColumns, MessageDecoder, joined
 from can_rig.errors import DbcError
 from can_rig.frames.databases import load_database
 from can_rig.logs.frames import ERROR, EXTENDED, Frames, concatenate

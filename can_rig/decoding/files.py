@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 
 from can_rig.decoding.decode import Databases, Decoder
-from can_rig.decoding.message_columns import MessageColumns
+from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
 from can_rig.folders import Kind, refuse_folder, whole_folder

@@ -24,8 +24,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.decoding.message_columns import MessageColumns
-from can_rig.decoding.signal_columns import unsigned_column
+from can_rig.decoding.message_decoder import MessageColumns, unsigned_column
 from can_rig.logs.frames import CLASSIC_BYTES, EXTENDED, REMOTE, Frames
 
 SOURCE_ADDRESS: Final = "SourceAddress"

@@ -1,22 +1,301 @@
-"""Decodes all frames of a DBC message at once into columns, and counts frames without a row."""
+"""Decodes all frames of a DBC message at once into columns, and counts frames without a row.
+
+A message has a row for each frame, a column for each signal: bits → raw values → physical values.
+Every value equals that of cantools for the same frame, to the bit: the same order of operations
+(raw · factor + offset), and integers where cantools has integers, of any length.
+
+| raw              | factor and offset        | column                                      |
+|------------------|--------------------------|---------------------------------------------|
+| integer          | both whole               | int64; uint64, then int in `object` if long |
+| integer or float | anything else            | float64                                     |
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Final
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from cantools.database.can import Message as DbcMessage
+from cantools.database.can import Signal
+from cantools.database.conversion import BaseConversion, LinearIntegerConversion
 from numpy.typing import NDArray
 
-from can_rig.decoding.message_columns import MessageColumns
-from can_rig.decoding.signal_columns import Column, signal_column
+from can_rig import paged
+from can_rig.errors import DbcError
 from can_rig.frames.codec import ROLES, SPEED
 from can_rig.frames.databases import attribute
 from can_rig.frames.frame_columns import crcs
 from can_rig.frames.protection import COUNTERS, FRAME_BYTES
-from can_rig.logs.frames import CLASSIC_BYTES, REMOTE, Frames, UInt8s
+from can_rig.logs.frames import CLASSIC_BYTES, NS_PER_S, REMOTE, Frames, UInt8s
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class MessageColumns:
+    """The decoded frames of one message, in the order of the log."""
+
+    name: str
+    time_ns: NDArray[np.int64]
+    """(n,) time stamps as in `Frames.time_ns` [ns]."""
+    row: NDArray[np.int64]
+    """(n,) number of the frame in the log, from 0."""
+    signals: dict[str, Column]
+    """(n,) physical values by signal name, in the order of the database; a numpy masked array for a
+    signal that is not in every frame: multiplexed signals, and signals beyond the end of short
+    frames."""
+    codes: dict[str, Column]
+    """(n,) raw values of the signals with a value table."""
+    layout: Mapping[str, SignalColumn] = field(repr=False)
+    """Unit, value table and place of each signal."""
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """(n,) time stamps [s]; float64 resolves 0.2 µs of a date, and ns of the first 50 days."""
+        return self.time_ns / NS_PER_S
+
+    def words(self, signal: str) -> NDArray[np.object_]:
+        """(n,) words of a signal's value table; None: no word, or no signal."""
+        words = self.layout[signal].words(np.ma.getdata(self.codes[signal]))
+        words[np.ma.getmaskarray(self.codes[signal])] = None
+        return words
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A row for each frame, a column for each signal; the index is ``time_s``.
+
+        A signal that is not in a frame is NaN, or <NA> in a column of integers.
+        """
+        import pandas as pd  # noqa: PLC0415 (slow to import)
+
+        columns = {name: _series(column) for name, column in self.signals.items()}
+        return pd.DataFrame(columns, index=pd.Index(self.time_s, name="time_s"))
+
+
+def _series(column: Column) -> Any:
+    import pandas as pd  # noqa: PLC0415
+
+    if not isinstance(column, np.ma.MaskedArray):
+        return column
+    if column.dtype.kind == "f":
+        return column.filled(np.nan)
+    if column.dtype == object:
+        return column.filled(None)
+    return pd.arrays.IntegerArray(column.data, np.ma.getmaskarray(column))
+
+
+_PAGED: Final = ({np.dtype(np.float64)}, {np.dtype(np.int64)})
+"""Kinds of values that are in a file where there are many."""
+
+
+def joined(parts: Sequence[MessageColumns]) -> MessageColumns:
+    """Columns of the same message, concatenated; needs at least one part."""
+
+    def together(columns: list[Column]) -> Column:
+        masked = any(isinstance(column, np.ma.MaskedArray) for column in columns)
+        kinds = {column.dtype for column in columns}
+        if masked or kinds not in _PAGED:
+            whole: Column = (np.ma if masked else np).concatenate(columns)
+            return whole
+        paged.let_go()
+        out = paged.empty(sum(map(len, columns))).view(*kinds)
+        return np.concatenate(columns, out=out)
+
+    first = parts[0]
+    return MessageColumns(
+        first.name,
+        together([part.time_ns for part in parts]),
+        together([part.row for part in parts]),
+        {name: together([part.signals[name] for part in parts]) for name in first.signals},
+        {name: together([part.codes[name] for part in parts]) for name in first.codes},
+        first.layout,
+    )
+
+
+Column = NDArray[Any]
+
+_WORD_BITS: Final = 64
+_WORD_BYTES: Final = 8
+_FLOATS: Final = {16: "2", 32: "4", 64: "8"}  # bits: bytes
+
+
+@dataclass(frozen=True)
+class SignalColumn:
+    """Position of a signal in its frame, and meaning of the raw value."""
+
+    name: str
+    unit: str
+    first_bit: int
+    """Its first bit in its own byte order: Intel counts from the least significant bit of each
+    byte, Motorola from the most significant."""
+    length: int
+    motorola: bool
+    is_signed: bool
+    is_float: bool
+    conversion: BaseConversion
+    """Factor and offset, without the value table."""
+    choices: dict[int, str]
+    """Value table: raw value → word."""
+
+    @property
+    def is_enumeration(self) -> bool:
+        """Whether its numbers are codes, not physical values with a word for "not available"."""
+        unscaled = self.conversion.scale == 1 and self.conversion.offset == 0
+        return bool(self.choices) and unscaled and not self.is_float
+
+    @property
+    def value_table(self) -> str:
+        """The value table in a line."""
+        return ", ".join(f"{number} {word}" for number, word in sorted(self.choices.items()))
+
+    def raw(self, data: UInt8s) -> Column:
+        """(n,) raw values in payloads (n, bytes) that are long enough for the signal."""
+        if self.length > _WORD_BITS:
+            return self._long(data)
+        word = self._motorola_bits(data) if self.motorola else self._intel_bits(data)
+        if self.length < _WORD_BITS:
+            word &= np.uint64((1 << self.length) - 1)
+        if self.is_float:
+            size = _FLOATS[self.length]
+            with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
+                return word.astype(f"u{size}").view(f"f{size}").astype(np.float64)
+        if self.is_signed:
+            signed = word.view(np.int64)
+            if self.length < _WORD_BITS:
+                sign = np.int64(1 << (self.length - 1))
+                signed ^= sign
+                signed -= sign
+            return signed
+        return word if self.length == _WORD_BITS else word.view(np.int64)
+
+    def physical(self, raw: Column) -> Column:
+        """(n,) physical values [``unit``] of raw ones."""
+        with np.errstate(over="ignore", invalid="ignore"):  # inf and nan, as in Python's floats
+            return self._physical(raw)
+
+    def _physical(self, raw: Column) -> Column:
+        scale, offset = self.conversion.scale, self.conversion.offset
+        if self.is_float:
+            if scale == 1 and offset == 0:
+                return raw
+            scaled: Column = raw * float(scale) + float(offset)
+            return scaled
+        if isinstance(self.conversion, LinearIntegerConversion) or (scale == 1 and offset == 0):
+            return self._integer(raw, int(scale), int(offset))
+        if isinstance(scale, int):  # the product is an exact integer; only the sum is rounded
+            raw, scale = self._integer(raw, scale, 0), 1.0
+        if raw.dtype == object:
+            return np.array([value * scale + offset for value in raw.tolist()], dtype=np.float64)
+        numbers: Column = raw.astype(np.float64) * scale + float(offset)
+        return numbers
+
+    def words(self, raw: Column) -> NDArray[np.object_]:
+        """(n,) words of the value table; None for unlisted raw values."""
+        get = self.choices.get
+        return np.array([get(int(value)) for value in raw.tolist()], dtype=object)
+
+    def _integer(self, raw: Column, scale: int, offset: int) -> Column:
+        """raw · scale + offset in the shortest integers that hold every possible value."""
+        if (scale, offset) == (1, 0):
+            return raw
+        low, high = (
+            (-(1 << self.length - 1), (1 << self.length - 1) - 1)
+            if self.is_signed
+            else (0, (1 << self.length) - 1)
+        )
+        reached = [low, high, *(v * scale + o for v in (low, high) for o in (0, offset)), offset]
+        for kind in (np.int64, np.uint64):
+            span = np.iinfo(kind)
+            if span.min <= min(reached) and max(reached) <= span.max and raw.dtype != object:
+                exact: Column = raw.astype(kind) * kind(scale) + kind(offset)
+                return exact
+        return np.array([value * scale + offset for value in raw.tolist()], dtype=object)
+
+    def _intel_bits(self, data: UInt8s) -> NDArray[np.uint64]:
+        """The signal in the low bits of words, whose other bits are not cleared."""
+        byte, shift = divmod(self.first_bit, 8)
+        word, begin = _window(data, byte, "<u8")
+        shift += (byte - begin) * 8
+        word >>= np.uint64(shift)
+        if shift + self.length > _WORD_BITS:  # its top bits are in a ninth byte
+            word |= data[:, begin + _WORD_BYTES].astype(np.uint64) << np.uint64(_WORD_BITS - shift)
+        return word
+
+    def _motorola_bits(self, data: UInt8s) -> NDArray[np.uint64]:
+        """The same for Motorola: the first byte of a frame is the most significant."""
+        word, begin = _window(data, self.first_bit // 8, ">u8")
+        behind = (begin + _WORD_BYTES) * 8 - (
+            self.first_bit + self.length
+        )  # bits after it in the window
+        if behind >= 0:
+            word >>= np.uint64(behind)
+            return word
+        word <<= np.uint64(-behind)  # its last bits are in a ninth byte
+        word |= data[:, begin + _WORD_BYTES].astype(np.uint64) >> np.uint64(8 + behind)
+        return word
+
+    def _long(self, data: UInt8s) -> NDArray[np.object_]:
+        """Decode signals of more than 64 bits, one value at a time."""
+        size = data.shape[1]
+        order = "big" if self.motorola else "little"
+        behind = size * 8 - self.first_bit - self.length if self.motorola else self.first_bit
+        mask, sign = (1 << self.length) - 1, 1 << self.length - 1
+        values = np.empty(len(data), dtype=object)
+        for row, payload in enumerate(data):
+            bits = int.from_bytes(payload.tobytes(), order) >> behind & mask  # type: ignore[arg-type]
+            values[row] = (bits ^ sign) - sign if self.is_signed else bits
+        return values
+
+
+def _window(data: UInt8s, byte: int, kind: str) -> tuple[NDArray[np.uint64], int]:
+    """Eight bytes of every payload as one word, and their first byte: ``byte`` or the previous."""
+    begin = max(min(byte, data.shape[1] - _WORD_BYTES), 0)
+    eight = data[:, begin : begin + _WORD_BYTES]
+    if eight.shape[1] < _WORD_BYTES:
+        eight = np.pad(eight, ((0, 0), (0, _WORD_BYTES - eight.shape[1])))
+    return np.ascontiguousarray(eight).view(kind)[:, 0].astype(np.uint64), begin
+
+
+def unsigned_column(name: str, length: int) -> SignalColumn:
+    """The column of an unsigned number without a unit."""
+    conversion = BaseConversion.factory(scale=1, offset=0)
+    return SignalColumn(name, "", 0, length, False, False, False, conversion, {})
+
+
+def signal_column(signal: Signal, where: str) -> SignalColumn:
+    """The column of a signal of the database.
+
+    Raises:
+        DbcError: a float is not of 16, 32 or 64 bits; ``where`` begins the line.
+    """
+    motorola = signal.byte_order == "big_endian"
+    if signal.conversion.is_float and signal.length not in _FLOATS:
+        raise DbcError(
+            f"{where}: signal {signal.name} is a float of {signal.length} bits; "
+            "it must have 16, 32 or 64"
+        )
+    start = signal.start
+    return SignalColumn(
+        name=signal.name,
+        unit=signal.unit or "",
+        first_bit=start // 8 * 8 + 7 - start % 8 if motorola else start,
+        length=signal.length,
+        motorola=motorola,
+        is_signed=signal.is_signed,
+        is_float=signal.conversion.is_float,
+        conversion=BaseConversion.factory(
+            scale=signal.conversion.scale,
+            offset=signal.conversion.offset,
+            is_float=signal.conversion.is_float,
+        ),
+        choices={int(raw): str(word) for raw, word in (signal.choices or {}).items()},
+    )
+
 
 COUNTER_BITS: Final = 0x0F
 

@@ -22,7 +22,7 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from can_rig.decoding.files import INDEX, Contents
-from can_rig.decoding.message_columns import MessageColumns
+from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.files import FileNames
 from can_rig.logs.frames import NS_PER_S
 

@@ -16,7 +16,7 @@ from mcap.writer import Writer
 from numpy.typing import NDArray
 
 from can_rig.decoding.files import Contents
-from can_rig.decoding.message_columns import MessageColumns
+from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.errors import LogError
 
 _TYPES = {"i": "integer", "u": "integer", "f": "number", "O": "integer"}

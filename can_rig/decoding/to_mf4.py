@@ -12,8 +12,7 @@ from asammdf import MDF, Signal, Source
 from numpy.typing import NDArray
 
 from can_rig.decoding.files import Contents
-from can_rig.decoding.message_columns import MessageColumns
-from can_rig.decoding.signal_columns import SignalColumn
+from can_rig.decoding.message_decoder import MessageColumns, SignalColumn
 from can_rig.logs.frames import NS_PER_S
 
 

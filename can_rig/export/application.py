@@ -10,8 +10,7 @@ from typing import Final
 
 from can_rig.drawing.names import Signal, names_of
 from can_rig.errors import ExportError
-from can_rig.export.c_files import constants_files
-from can_rig.export.c_text import comment
+from can_rig.export.c_files import comment, constants_files
 from can_rig.export.law import HEARS, law_files, parts_of, support, zero
 from can_rig.folders import Kind, refuse_folder, whole_folder
 from can_rig.frames.codec import MessageCodec, RigLayout

@@ -19,8 +19,16 @@ from typing import Any, Final
 from can_rig.export.application import application, bench
 from can_rig.export.compiler import WARNINGS, placed, run
 from can_rig.export.law import law_files, support
-from can_rig.export.programs import HOST_FLAGS, as_orders, on_host, trial_files
-from can_rig.export.trials import different, encoded, in_python, random_trials
+from can_rig.export.trials import (
+    HOST_FLAGS,
+    as_orders,
+    different,
+    encoded,
+    in_python,
+    on_host,
+    random_trials,
+    trial_files,
+)
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 

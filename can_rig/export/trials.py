@@ -2,16 +2,34 @@
 
 Steps and resets on random memory, as orders for `support/trial.c`, and in Python. If speed blends
 the designs, a change of speed precedes each step and reset.
+
+Programs run the law on random memory, and a controller node on random frames.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+import random
+import subprocess
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
+import can
 import numpy as np
 
+from can_rig.errors import ExportError
+from can_rig.export.boards import (
+    COUNT,
+    LONGEST_S,
+    RESTART,
+    frame_order,
+    time_order,
+)
+from can_rig.export.law import parts_of, support
+from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.network import Network
 from firmware_model.firmware import PYTHON_LAW, Law
 from firmware_model.law.layout import precision_of, state_type, table_type
 from firmware_model.law.schedule import MAX_SPEEDS, Constants
@@ -25,6 +43,93 @@ from firmware_model.law.structs import (
     RecordArray,
     record_type,
 )
+
+HOST_FLAGS: Final = ("-std=c99", "-ffp-contract=off")
+
+NODE_TICKS = 60
+VALUES = (-2.0, 2.0)
+SPEEDS = (-5.0, 50.0)  # m/s: within the designs' range and outside
+LAST_TICKS = 65530  # the 16 bits of the tick end soon
+
+
+def random_frames(network: Network, seed: int) -> list[list[can.Message]]:
+    """By tick, what the plant node might have sent, the same for the same ``seed``."""
+    choose, ticks = random.Random(seed), []
+    transmitters = [Transmitter(codec) for codec in network.inputs]
+    first = choose.choice([0, LAST_TICKS])
+    for tick in range(first, first + NODE_TICKS):
+        frames: list[can.Message] = []
+        for transmitter in transmitters:
+            if choose.random() < 0.03:  # lose a few frames in a row
+                for _ in range(choose.randrange(1, 9)):
+                    transmitter.frame(0.0, tick)
+            size = choose.choice([1.0, 1.0, 1.0, 1.0, 1e3, math.inf, math.nan])
+            ends = SPEEDS if transmitter.codec is network.speed else VALUES
+            message = transmitter.frame(size * choose.uniform(*ends), tick)
+            what = choose.random()
+            if what < 0.04:
+                continue
+            if what < 0.08:
+                message.data[choose.randrange(8)] ^= 1 << choose.randrange(8)
+            if what > 0.97:
+                message.data = message.data[: choose.randrange(8)]
+            frames += [message] * choose.choice([1, 1, 1, 1, 2])
+        ticks.append(frames)
+    return ticks
+
+
+def as_orders(network: Network, seeds: range, tick_us: int) -> bytes:
+    """Random frames with clock times, as orders of `support/bench.h`.
+
+    Each seed has its own start time.
+
+    The clock wraps; the node reads the clock before and after half a tick.
+    """
+    orders = []
+    for seed in seeds:
+        choose, at_us = random.Random(seed), 2**32 - NODE_TICKS // 2 * tick_us
+        orders.append(RESTART)
+        for frames in random_frames(network, seed):
+            late_us = choose.choice([0, choose.randrange(-tick_us // 20, tick_us // 20)])
+            orders.append(time_order(at_us + late_us))
+            for message in frames:
+                orders.append(frame_order(message.arbitration_id, bytes(message.data)))
+            orders += [time_order(at_us + tick_us * tenth // 10) for tenth in (4, 5, 6)]
+            at_us += tick_us
+        orders.append(COUNT)
+    return b"".join(orders)
+
+
+def trial_files(law: Mapping[str, str]) -> dict[str, str]:
+    """The files of the law, and the trial that runs the law on any memory.
+
+    The caller adds ``main``.
+
+    Args:
+        law: text by file name; `schedule.c` enables changes of speed.
+    """
+    return {**law, **{name: support(name, parts_of(law)) for name in ("bench.h", "trial.c")}}
+
+
+def on_host(program: Path, orders: bytes) -> bytes:
+    """The program's answers.
+
+    Raises:
+        ExportError: the program fails, or ignores orders; the message has the first line of its
+            output.
+    """
+    try:
+        done = subprocess.run(
+            [program], input=orders, capture_output=True, check=False, timeout=LONGEST_S
+        )
+    except subprocess.TimeoutExpired:
+        raise ExportError(f"the trial did not end within {LONGEST_S:g} s") from None
+    if done.returncode or done.stderr:
+        lines = done.stderr.decode(errors="replace").splitlines() or [f"{done.returncode}"]
+        said = next((line for line in lines if "error" in line.lower()), lines[0])
+        raise ExportError(f"the trial ended: {said}")
+    return done.stdout
+
 
 TICKS = (0, 0, 1, 2, 7, MAX_LATENCY_TICKS)
 
@@ -102,9 +207,6 @@ def random_table(
     table.mismatch.n = 0 if random.random() < 0.1 else cars.n + 3
     table.reference_shaper.enabled = random.integers(0, 2)
     table.compensator.on_confirmation = random.integers(0, 2)
-    table.decision.tracks_share = int(random.random() < 0.2)
-    table.decision.pause_ticks = random.integers(0, 5)
-    table.probe.ticks = random.choice([0, 0, 3])
     return tables
 
 
@@ -133,8 +235,6 @@ def random_state(
         state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
     state.mode, state.fault_state = random.integers(0, 4, 2)
     state.hypotheses.verdict = random.integers(0, len(Verdict))
-    state.probe.tick = random.integers(0, table.probe.ticks + 1)
-    state.decision.pause = random.integers(0, 4)
     state.mismatch.covariance.variances[:] = abs(state.mismatch.covariance.variances)
     return states
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig import paged
-from can_rig.frames.frame_columns import payloads
+from can_rig.frames.frame_columns import UInt8s, payloads
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.clock import OnTick
@@ -25,7 +25,9 @@ from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.frame_faults import delivery
 from can_rig.plant.frameless import carried
 from can_rig.plant.in_windows import LoopInWindows
+from can_rig.plant.witnesses import Sensed
 from can_rig.scenario.build import network_of
+from can_rig.scenario.sensor_settings import SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import BoolArray
 from firmware_model.law.structs import FloatArray
@@ -70,14 +72,17 @@ class RunWithoutBus:
         self._log = LogFile(log)
         self._files.callback(self._log.close)
         self._reports = self._files.enter_context(PlantRecorder(log))
-        plant = plant_of(scenario)
-        self._linear = plant if isinstance(plant, LinearBehind) else None
+        plant, sensors = plant_of(scenario), self._network.witnesses
+        self._linear = plant if isinstance(plant, LinearBehind) and not sensors else None
+        self._said_before = np.zeros(len(sensors), dtype=np.int64)
+        reporting = _Reporting(plant, self._reports)
+        self._sensed = Sensed(scenario, sensors, reporting) if sensors else None
         self._frames: dict[str, FloatArray] = {}
         self._plant: dict[str, FloatArray] = {}
         self._run = LoopInWindows(
             scenario,
             self._network,
-            plant.sampled if isinstance(plant, LinearBehind) else _Reporting(plant, self._reports),
+            self._sensed or (self._linear.sampled if self._linear else reporting),
             keeps_states=True,
         )
         self._run.loop.run(0)  # compiles, or loads what was compiled, before the first tick
@@ -113,7 +118,7 @@ class RunWithoutBus:
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""
         network = self._network
-        own = network.inputs
+        own = (*network.inputs, *network.witnesses)
         always: dict[str, dict[str, int]] = {codec.name: {} for codec in own}
         return delivery(self._scenario, network, self.ticks).rejected | always
 
@@ -121,7 +126,7 @@ class RunWithoutBus:
         """Frames and reports of some ticks."""
         network, trace, some = self._network, self._run.loop.trace, self._run.here(ticks)
         inputs, begin = self._run.inputs, ticks.start
-        own = network.offered
+        own = network.offered + len(network.witnesses)
         powered, counts = _powered(self._scenario.outages, ticks)
         frames = [
             payloads(codec, values[some], begin, counts=sent_before)
@@ -143,6 +148,8 @@ class RunWithoutBus:
                 counts,
             )
         )
+        witnesses, witnessed = self._witnessed(ticks)
+        frames[:0] = witnesses
         if network.speed is not None and inputs.speed is not None:
             frames.insert(0, payloads(network.speed, inputs.speed[some], begin))
         data = np.stack(frames, axis=1)
@@ -154,6 +161,7 @@ class RunWithoutBus:
         there = np.ones((len(ticks), len(frames)), dtype=np.bool_)
         there[:, own : own + 2] = inputs.delivery.sent[some]
         there[:, own + 2] = powered
+        there[:, network.offered - 2 : own - 2] = witnessed
         first_us = np.array(ticks, dtype=np.int64) * self._scenario.tick_ns // 1000
         lines = candump_bytes(data, there, first_us, network.identifiers, own)
         self._log.write(lines)
@@ -166,6 +174,29 @@ class RunWithoutBus:
             )  # fmt: skip
             self._reports.record_columns(begin, reported)
             self._keep(self._plant, ticks, reported)
+
+    def _witnessed(self, ticks: range) -> tuple[list[UInt8s], BoolArray]:
+        """The frames of the further sensors, and in which ticks they are sent."""
+        if self._sensed is None:
+            return [], np.zeros((len(ticks), 0), dtype=np.bool_)
+        said = list(self._sensed.said)[-len(ticks) :]
+        shape = len(ticks), len(self._said_before)
+        values, sent = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)
+        valid, samples = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
+        for at, those in enumerate(said):
+            for each in those:
+                place = at, each.sensor
+                values[place], sent[place] = each.value, True
+                valid[place], samples[place] = each.valid, each.sample_tick % SAMPLE_TICKS
+        counts = self._said_before + np.cumsum(sent, axis=0) - sent
+        self._said_before += sent.sum(axis=0)
+        frames = [
+            payloads(
+                codec, values[:, at], ticks.start, valid[:, at], None, samples[:, at], counts[:, at]
+            )
+            for at, codec in enumerate(self._network.witnesses)
+        ]
+        return frames, sent
 
     def _keep(
         self, columns: dict[str, FloatArray], ticks: range, said: dict[str, FloatArray]
@@ -196,6 +227,8 @@ class _Reporting:
         self._plant = plant
         self._reports = reports
         self._tick = 0
+        self.witnesses = plant.witnesses
+        """See ``PlantBehind``."""
 
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float

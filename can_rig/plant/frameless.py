@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from can_rig.controllers.making import peer_of
+from can_rig.controllers.protocol import NO_WITNESSES, said
 from can_rig.controllers.protocol import Inputs as ControllerInputs
-from can_rig.controllers.protocol import said
 from can_rig.errors import RigError, ScenarioError
 from can_rig.frames.codec import NO_DECISION
 from can_rig.frames.frame_columns import quantised
@@ -24,7 +24,7 @@ from can_rig.plant.changing_car import linear_plant, plant_of
 from can_rig.plant.faults.frame_faults import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import noise
-from can_rig.plant.witnesses import frame_row
+from can_rig.plant.witnesses import PlantRead, Sensed, frame_row
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.fault_settings import PLACES, RESTARTED
@@ -35,7 +35,7 @@ from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED
 from firmware_model.analysis.read_off import NotLinearError, read_off
 from firmware_model.analysis.sampled_loop import LinearController
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.simulation import AnyPlant, LoopPlant, Simulation, Trace
+from firmware_model.analysis.simulation import LoopPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law import controller
 from firmware_model.law.structs import FloatArray, RecordArray
@@ -80,7 +80,7 @@ class Common:
         return with_disturbances(self.quiet, scenario, self.network)
 
     def loop(
-        self, scenario: Scenario, inputs: Inputs, plant: SampledPlant | AnyPlant
+        self, scenario: Scenario, inputs: Inputs, plant: SampledPlant | PlantRead
     ) -> Simulation:
         """One run's loop, at rest."""
         return simulation(scenario, self.network, plant, self.of, inputs, at_rest=self.at_rest)
@@ -217,15 +217,18 @@ def frameless_loop(
 def simulation(
     scenario: Scenario,
     network: Network,
-    plant: SampledPlant | AnyPlant,
+    plant: SampledPlant | PlantRead,
     of: Scheduled | None,
     inputs: Inputs,
     keeps_states: bool = False,
     at_rest: RecordArray | None = None,
 ) -> Simulation:
     """``scenario`` without a bus, at rest; for the arguments see ``frameless``, ``Simulation``."""
+    if of is None and network.witnesses and not isinstance(plant, Sensed):
+        assert not isinstance(plant, SampledPlant)
+        plant = Sensed(scenario, network.witnesses, plant)
     return Simulation(
-        InLoop(scenario) if of is None else of.table,
+        InLoop(scenario, plant) if of is None else of.table,
         plant,
         inputs.reference,
         tick_s=scenario.tick_s,
@@ -264,7 +267,8 @@ class InLoop:
         ScenarioError: see ``peer_of``.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, plant: object) -> None:
+        self._senses = plant if isinstance(plant, Sensed) else None
         self.latency_ticks = scenario.latency_ticks
         """See ``AnyController``."""
         self._scenario = scenario
@@ -278,7 +282,8 @@ class InLoop:
         self, reference: float, measurement: float, speed: float
     ) -> tuple[float, float, float, int, int, int]:
         """See ``AnyController``."""
-        answer = self.peer.step(ControllerInputs(reference, measurement, speed))
+        heard = NO_WITNESSES if self._senses is None else self._senses.heard
+        answer = self.peer.step(ControllerInputs(reference, measurement, speed, heard))
         return answer.command_1, answer.command_2, *said(answer)
 
 
@@ -303,7 +308,7 @@ def linear_law_of(scenario: Scenario) -> LinearController:
         ) from None
 
 
-def until_it_fails(plant: PlantBehind) -> AnyPlant:
+def until_it_fails(plant: PlantBehind) -> PlantRead:
     """``plant`` with nan as its output from its first error on; a built-in car never fails."""
     return plant if isinstance(plant, LoopPlant) else UntilItFails(plant)
 
@@ -314,6 +319,8 @@ class UntilItFails:
     def __init__(self, plant: PlantBehind) -> None:
         self._plant = plant
         self._failed = False
+        self.witnesses = plant.witnesses
+        """See ``PlantBehind``."""
 
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float

@@ -14,18 +14,18 @@ import numpy as np
 from can_rig import paged
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
-from can_rig.plant.behind import LinearBehind
-from can_rig.plant.changing_car import plant_of
+from can_rig.plant.changing_car import linear_plant, plant_of
 from can_rig.plant.faults.frame_faults import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.frameless import Inputs, UntilItFails, law_of, simulation, with_replaced
 from can_rig.plant.sensor import NoiseColumns
+from can_rig.plant.witnesses import PlantRead
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.simulation import AnyPlant, BoolArray, Simulation
+from firmware_model.analysis.simulation import BoolArray, Simulation
 from firmware_model.law.structs import FloatArray
 
 Values = TypeVar("Values", FloatArray, BoolArray)
@@ -54,7 +54,7 @@ class LoopInWindows:
         self,
         scenario: Scenario,
         network: Network,
-        plant: SampledPlant | AnyPlant,
+        plant: SampledPlant | PlantRead,
         keeps_states: bool = False,
     ) -> None:
         self.ticks: Final = scenario.ticks
@@ -157,8 +157,7 @@ def blocks_of(scenario: Scenario) -> Iterator[tuple[range, Simulation, slice]]:
     Raises:
         ScenarioError: a scenario that cannot run.
     """
-    plant = plant_of(scenario)
-    of = plant.sampled if isinstance(plant, LinearBehind) else UntilItFails(plant)
+    of = linear_plant(scenario) or UntilItFails(plant_of(scenario))
     run = LoopInWindows(scenario, network_of(scenario), of)
     while run.done < run.ticks:
         ticks = run.run()

@@ -5,20 +5,27 @@ Every loop takes the same compiled ``sense``, so each says the same bits.
 
 from __future__ import annotations
 
+import math
 import struct
+from collections import deque
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
 from can_rig.frames.codec import MessageCodec
+from can_rig.frames.endpoints import AGE, nothing_heard
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import NoiseColumns
-from can_rig.scenario.sensor_settings import ECHOES, MEASURED
+from can_rig.scenario.sensor_settings import ECHOES, MEASURED, SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import GRID, frame_of
+from firmware_model.analysis.simulation import AnyPlant
 from firmware_model.analysis.witnesses import HEALTHY, NOT_SENT, VALID, sense
 from firmware_model.law.structs import FloatArray
+
+KEPT_TICKS: Final = 8192
+"""For which a loop keeps what the sensors have said."""
 
 BLOCK_TICKS: Final = 1024
 """Ticks for which noise and faults are computed ahead."""
@@ -35,6 +42,14 @@ class Said(NamedTuple):
     value: float
     sample_tick: int
     valid: bool
+
+
+class PlantRead(AnyPlant, Protocol):
+    """A plant whose further sensors are read."""
+
+    @property
+    def witnesses(self) -> FloatArray:
+        """(sensors,), readings at this tick, without errors."""
 
 
 class Senses:
@@ -149,6 +164,42 @@ class SensesByTick:
         self._noise = np.concatenate([noise, self._senses.noise(BLOCK_TICKS - len(noise))])
         ticks = range(tick, tick + BLOCK_TICKS)
         self._bias, self._rows = self._faults.of_witnesses(ticks)
+
+
+class Sensed:
+    """A plant in a loop without frames, whose further sensors somebody hears.
+
+    Args:
+        scenario: the run.
+        codecs: the sensors' frames.
+        plant: at rest.
+    """
+
+    def __init__(
+        self, scenario: Scenario, codecs: Sequence[MessageCodec], plant: PlantRead
+    ) -> None:
+        self._plant, self._tick = plant, 0
+        self._senses = SensesByTick(scenario, codecs, PlantFaults(scenario).latest_ticks)
+        self._names = [each.usual.column for each in scenario.sensors]
+        self.witnesses, self.follow = plant.witnesses, plant.follow
+        """See ``PlantBehind``."""
+        self.said: Final[deque[list[Said]]] = deque(maxlen=KEPT_TICKS)
+        """What the frames of the last ticks say."""
+
+    def sense(self, told: tuple[float, float]) -> None:
+        """See ``SensedPlant``."""
+        self.said.append(self._senses.take(self._tick, self._plant.witnesses, told))
+        self._tick += 1
+
+    @property
+    def heard(self) -> dict[str, float]:
+        """What a controller hears at this tick; see ``Hearing``."""
+        found = nothing_heard(self._names)
+        for each in self.said[-1]:
+            name = self._names[each.sensor]
+            found[name] = each.value if each.valid else math.nan
+            found[name + AGE] = (self._tick - 1 - each.sample_tick) % SAMPLE_TICKS
+        return found
 
 
 def frame_row(codec: MessageCodec) -> FloatArray:

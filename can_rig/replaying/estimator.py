@@ -29,8 +29,7 @@ from cantools.database.conversion import BaseConversion
 from numpy.typing import NDArray
 
 from can_rig.decoding.files import Contents, output
-from can_rig.decoding.message_columns import MessageColumns
-from can_rig.decoding.signal_columns import SignalColumn, unsigned_column
+from can_rig.decoding.message_decoder import MessageColumns, SignalColumn, unsigned_column
 from can_rig.errors import LogError, ScenarioError
 from can_rig.files import PICTURES, atomic, refuse_existing
 from can_rig.logs.frames import NS_PER_S

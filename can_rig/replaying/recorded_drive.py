@@ -22,7 +22,7 @@ from cantools.database.can import Database
 from numpy.typing import NDArray
 
 from can_rig.decoding.decode import Decoder
-from can_rig.decoding.message_columns import MessageColumns, joined
+from can_rig.decoding.message_decoder import MessageColumns, joined
 from can_rig.errors import DbcError, LogError, ScenarioError
 from can_rig.frames.databases import load_for
 from can_rig.logs.frames import NS_PER_S

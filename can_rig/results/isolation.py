@@ -126,7 +126,8 @@ _WORDS: Final = {
     Verdict.BOTH_LOST: "{command_1} and {command_2} lost",
     Verdict.CANNOT_BE_TOLD: "cannot be told",
 }
-_NO_FAULT: Final = (Verdict.NOTHING, Verdict.ANOTHER_CAR)
+NO_FAULT: Final = (Verdict.NOTHING, Verdict.ANOTHER_CAR)
+"""Verdicts of a healthy car."""
 
 
 def whose_fault(scenario: Scenario, signals: Signals) -> dict[str, dict[str, Any]]:
@@ -138,7 +139,7 @@ def whose_fault(scenario: Scenario, signals: Signals) -> dict[str, dict[str, Any
     found = {}
     for verdict in Verdict:
         rows = np.flatnonzero(codes == verdict)
-        if len(rows) and verdict not in _NO_FAULT:
+        if len(rows) and verdict not in NO_FAULT:
             first = int(rows[0])
             found[verdict.name] = {
                 "since_s": round(float(signals.time_s[first]), 9),

@@ -1,42 +1,54 @@
-"""The results of a run, as the numbers of ``run.json`` and of the closing table."""
+"""The results of a run, as the numbers of ``run.json`` and of the closing table.
+
+First the errors and commands of a run; then the detection of a loss, and the least possible
+deviation after a loss; last the harm, of the run beside the same run without compensation.
+
+The controller claims that the torque is lost by the fault state CONFIRMED, that the force
+difference is lost by its verdict. A claim finds a loss where it begins while a sample can show
+this loss. What was claimed before is a false alarm and finds nothing.
+
+The harm compares both runs with an undisturbed run: the same car, drive and noise, without faults,
+disturbances and compensation. So the metrics also judge a healthy car, and a car in the wind. All
+use D* of the car before its sensor.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from can_rig import paged
-from can_rig.assessment.limitations import control_authority
+from can_rig.assessment.limitations import Unavoidable, can_be_told, control_authority, unavoidable
 from can_rig.drawing.names import fault_in_words, names_of, with_unit
+from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.results.counterfactual import (
     deviation_from,
     fault_free,
     noise_free,
     output_of_car,
     signals_without_log,
+    uncompensated,
+    undisturbed,
     without_fault,
 )
-from can_rig.results.harm import harm_metrics
-from can_rig.results.loss_metrics import (
-    decision_metrics,
-    detection_of,
-    torque_lost,
-    unavoidable_deviation,
-)
+from can_rig.results.isolation import NO_FAULT
 from can_rig.results.signals import Signals
-from can_rig.scenario.build import network_of
+from can_rig.scenario.build import network_of, target
 from can_rig.scenario.driving import at_speed_of
-from can_rig.scenario.fault_settings import CHANNELS
+from can_rig.scenario.fault_settings import CHANNELS, SENSOR, FaultSettings
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
+from firmware_model.discretisation.targets import HOUR_S
+from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray
 
 Metrics = dict[str, float | bool | str | None]
 Mask = NDArray[np.bool_]
+TORQUE, FORCE = CHANNELS
 
 SETTLED_S = 2.0
 
@@ -105,7 +117,7 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     if window.after.any():
         deviation = deviation_from(scenario, signals, fault_free(scenario, signals))
     settled = window.settled_after if window.after.any() else window.settled_before
-    loses_torque = window.lost.any() and any(f.place == CHANNELS[0] for f in scenario.faults)
+    loses_torque = window.lost.any() and any(f.place == TORQUE for f in scenario.faults)
     lost_at = at_speed_of(scenario, scenario.loss)
     authority = control_authority(lost_at, network_of(scenario)) if loses_torque else None
     alone = scenario.faults[0] if len(scenario.faults) == 1 else None
@@ -314,3 +326,359 @@ def _of(scenario: Scenario, signals: Signals, at: int) -> dict[str, Any]:
     bound = unavoidable_deviation(scenario, signals, fault)
     values["unavoidable_deviation_mps2"] = None if bound is None else bound.deviation_mps2
     return values | detection_of(scenario, signals, at)._asdict()
+
+
+NOT_THE_TORQUE: Final = (
+    Verdict.FORCE_LOST,
+    Verdict.SENSOR_BIASED,
+    Verdict.SENSOR_DRIFTING,
+    Verdict.SENSOR_FROZEN,
+)
+"""Verdicts that name another place; with them a confirmation finds no loss of the torque."""
+COMPENSATED: Final = 0.5
+"""Of the rms deviation without compensation: a loss that causes no more is compensated."""
+
+
+class Detection(NamedTuple):
+    """The detection of one loss.
+
+    Attributes:
+        suspected_after_s: from the start of the loss to the first suspicion within the loss.
+        detection_delay_s: likewise to the confirmation; None for a missed loss.
+        missed_detection: None without a loss, and for a loss beyond the best possible test.
+    """
+
+    suspected_after_s: float | None = None
+    detection_delay_s: float | None = None
+    missed_detection: bool | None = None
+
+
+def unavoidable_deviation(
+    scenario: Scenario, signals: Signals, fault: FaultSettings
+) -> Unavoidable | None:
+    """The deviation that no controller can avoid, with the commands of the log.
+
+    None unless ``fault`` is a dead actuator within the log, and for a loss that never shows.
+    """
+    lost = _commands_lost(scenario, signals, fault)
+    return None if lost is None else unavoidable(at_speed_of(scenario, fault), lost, fault)
+
+
+def _commands_lost(scenario: Scenario, signals: Signals, fault: FaultSettings) -> FloatArray | None:
+    """The commands at a dead actuator from its loss on; None for an incomplete log."""
+    n = scenario.latency_ticks
+    first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
+    at = -(-fault.span_ns[0] // scenario.tick_ns) - first
+    if fault.kind != "actuator-dead" or fault.every > 1 or at < n:
+        return None
+    return _commands(signals, fault)[at - n :]
+
+
+def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | bool | None]:
+    """Delay, false alarms and a missed loss, from the fault state of the status frames.
+
+    With several losses, any missed loss counts, and the longest delay. A false alarm is a
+    confirmation that begins while no sample can show a loss of the torque; suspicions are counted
+    by the same rule.
+    """
+    losses = range(len(scenario.faults))
+    found = [detection_of(scenario, signals, at) for at in losses]
+    missed = {each.missed_detection for each in found} - {None}
+    suspected_s = [each.suspected_after_s for each in found if each.suspected_after_s is not None]
+    delay_s = [each.detection_delay_s for each in found if each.detection_delay_s is not None]
+    lost, shown = torque_lost(scenario, signals), np.zeros(len(signals), dtype=np.bool_)
+    for fault in scenario.faults:
+        if fault.loses_a_channel and fault.place == TORQUE:
+            shown |= _shown(scenario, signals, fault)
+    healthy_h = float((~lost).sum()) * scenario.tick_s / HOUR_S
+    confirmed, suspected = _claims(signals, TORQUE), _suspicions(signals)
+    alarms = int((_begins(confirmed) & ~shown).sum())
+    return {
+        "suspected_after_s": max(suspected_s, default=None),
+        "detection_delay_s": None if True in missed else max(delay_s, default=None),
+        "missed_detection": any(missed) if missed else None,
+        "suspicions": int((_begins(suspected) & ~shown).sum()) if len(signals) else None,
+        "false_alarms": alarms if len(signals) else None,
+        "false_alarms_per_hour": alarms / healthy_h if healthy_h > 0.0 else None,
+    }
+
+
+def torque_lost(scenario: Scenario, signals: Signals) -> Mask:
+    """(ticks,), whether a fault of the torque exists."""
+    lost = np.zeros(len(signals), dtype=np.bool_)
+    for fault in scenario.faults:
+        if fault.loses_a_channel and fault.place == TORQUE:
+            lost |= _there(scenario, signals, fault)
+    return lost
+
+
+def detection_of(scenario: Scenario, signals: Signals, at: int) -> Detection:
+    """The detection of the fault number ``at``.
+
+    A loss is missed unless a confirmation begins in the loss and stands at its end. After a false
+    alarm that still stands, a compensated loss is not missed.
+
+    Raises:
+        AssertionError: an impossible delay; the message names the run.
+    """
+    fault = scenario.faults[at]
+    shown = _shown(scenario, signals, fault)
+    if not fault.loses_a_channel or not shown.any():
+        return Detection()
+    said = _claims(signals, fault.place)
+    found = _own(said, shown)
+    if fault.place == TORQUE and signals.verdict is not None:
+        found &= ~_among(_held(signals.verdict), *NOT_THE_TORQUE)
+    delay_s = _delay(scenario, signals, fault, found)
+    suspected = found
+    if fault.place == TORQUE:
+        suspected = found | _own(_suspicions(signals), shown)
+    suspected_s = _delay(scenario, signals, fault, suspected)
+    last = len(shown) - 1 - int(np.argmax(shown[::-1]))
+    if said[last] and delay_s is not None:
+        return Detection(suspected_s, delay_s, missed_detection=False)
+    begun = int(np.flatnonzero(_begins(said)[: last + 1])[-1]) if said[last] else last
+    if said[last] and not shown[begun]:
+        if _known_already(scenario, signals, at, begun):
+            return Detection()
+        if _compensated(scenario, signals, _there(scenario, signals, fault)):
+            return Detection(suspected_s, None, missed_detection=False)
+    return Detection(suspected_s, None, _could_show(scenario, signals, at) or None)
+
+
+def _held(codes: FloatArray) -> NDArray[np.int16]:
+    """``codes`` without gaps: the last known code stays; 0 before the first code."""
+    return _last(codes, np.isfinite(codes))
+
+
+def _last(values: FloatArray | Mask, known: Mask) -> NDArray[np.int16]:
+    """The last known value in each tick, in little memory for a long run."""
+    held, last = np.zeros(len(values), dtype=np.int16), 0
+    for rows in paged.blocks(len(values)):
+        places = np.where(known[rows], np.arange(1, rows.stop - rows.start + 1), 0)
+        held[rows] = np.append(last, values[rows])[np.maximum.accumulate(places)]
+        last = held[rows.stop - 1]
+    return held
+
+
+def _among(codes: NDArray[np.int16], *wanted: int) -> Mask:
+    """``np.isin`` without its copy in 64 bits."""
+    found = np.zeros(len(codes), dtype=np.bool_)
+    for code in wanted:
+        found |= codes == code
+    return found
+
+
+def _claims(signals: Signals, place: str) -> Mask:
+    """The ticks with a claim that this channel is lost."""
+    if place == TORQUE:
+        return _among(_held(signals.fault_state), FaultState.CONFIRMED)
+    if signals.verdict is None:
+        return np.zeros(len(signals), dtype=np.bool_)
+    return _among(_held(signals.verdict), Verdict.FORCE_LOST, Verdict.BOTH_LOST)
+
+
+def _suspicions(signals: Signals) -> Mask:
+    return _among(_held(signals.fault_state), FaultState.SUSPECTED, FaultState.CONFIRMED)
+
+
+def _begins(state: Mask) -> Mask:
+    begins: Mask = state & ~np.append([False], state[:-1])
+    return begins
+
+
+def _own(said: Mask, shown: Mask) -> Mask:
+    """The ticks of a loss with a claim that began in the loss."""
+    own: Mask = said & shown & (_last(shown, _begins(said)) != 0)
+    return own
+
+
+def _there(scenario: Scenario, signals: Signals, fault: FaultSettings, late_ns: int = 0) -> Mask:
+    """The ticks of a fault, shifted by ``late_ns``."""
+    begin_ns, end_ns = fault.span_ns
+    there = np.zeros(len(signals), dtype=np.bool_)
+    for rows in paged.blocks(len(signals)):
+        ticks = np.rint(signals.time_s[rows] / scenario.tick_s).astype(np.int64)
+        time_ns = ticks * scenario.tick_ns - late_ns
+        there[rows] = (time_ns >= begin_ns) & (time_ns < end_ns)
+    return there
+
+
+def _shown(scenario: Scenario, signals: Signals, fault: FaultSettings) -> Mask:
+    """The ticks with a sample of D* that a fault can have changed.
+
+    The sample of a tick precedes the action of the actuators. So the first such tick is one tick
+    and the sensor's dead time after the fault; a dead actuator must also have received a command.
+    """
+    dead_ticks = int(scenario.plant.sensor.dead_time_s / scenario.tick_s + 1e-9)
+    late = 1 + dead_ticks
+    shown = _there(scenario, signals, fault, late * scenario.tick_ns)
+    if fault.kind == "actuator-dead":
+        told = np.roll(_commands(signals, fault) != 0.0, late + scenario.latency_ticks)
+        told[: late + scenario.latency_ticks] = True  # before the log
+        shown &= np.logical_or.accumulate(told & shown)
+    return shown
+
+
+def _commands(signals: Signals, fault: FaultSettings) -> FloatArray:
+    return (signals.torque_nm, signals.force_difference_n)[CHANNELS.index(fault.place)]
+
+
+def _delay(scenario: Scenario, signals: Signals, fault: FaultSettings, found: Mask) -> float | None:
+    if not found.any():
+        return None
+    delay_s = round(float(signals.time_s[np.argmax(found)]) - fault.at_s, 9)
+    if delay_s < scenario.tick_s * (1.0 - 1e-6):
+        raise AssertionError(
+            f"scenario {scenario.name}, seed {scenario.seed}: the loss at {fault.at_s:g} s is said "
+            f"to be found after {delay_s:g} s; no sample shows it within {scenario.tick_s:g} s"
+        )
+    return delay_s
+
+
+def _known_already(scenario: Scenario, signals: Signals, at: int, begun: int) -> bool:
+    """Whether the claim began in another, unfinished fault of the same channel."""
+    begin_ns, _ = scenario.faults[at].span_ns
+    return any(
+        other.loses_a_channel
+        and other.place == scenario.faults[at].place
+        and other.span_ns[0] <= begin_ns < other.span_ns[1]
+        and bool(_shown(scenario, signals, other)[begun])
+        for number, other in enumerate(scenario.faults)
+        if number != at
+    )
+
+
+def _compensated(scenario: Scenario, signals: Signals, there: Mask) -> bool:
+    """Whether compensation keeps D* of the car close to the run without the fault."""
+    healthy = fault_free(scenario, signals).car_mps2[there]
+    with_it, without = (
+        float(np.sqrt(np.nanmean((car[there] - healthy) ** 2)))
+        for car in (output_of_car(scenario, signals), uncompensated(scenario, signals).car_mps2)
+    )
+    return with_it <= COMPENSATED * without
+
+
+def _could_show(scenario: Scenario, signals: Signals, at: int) -> bool:
+    """Whether the best test could tell the loss, complete or partial.
+
+    For a dead actuator the missing effect of its commands counts, otherwise the deviation of D*.
+    """
+    fault = scenario.faults[at]
+    if _commands_lost(scenario, signals, fault) is not None:
+        return unavoidable_deviation(scenario, signals, fault) is not None
+    deviation = deviation_from(scenario, signals, without_fault(scenario, at, signals))
+    return can_be_told(scenario, deviation[_there(scenario, signals, fault)])
+
+
+DRIVER_S: Final = 2.0
+"""Time until a surprised driver steers; until then nobody corrects the car's path."""
+
+DECIMALS: Final = 9
+"""Of sums over a run; a long run is added up in other parts, with other rounding."""
+
+ACTS: Final = 0.01
+"""Of the largest force difference: a smaller command compensates nothing."""
+
+NAMED: Final[dict[Verdict, frozenset[str]]] = {
+    Verdict.TORQUE_LOST: frozenset({TORQUE}),
+    Verdict.TORQUE_OFFSET: frozenset({TORQUE}),
+    Verdict.FORCE_LOST: frozenset({FORCE}),
+    Verdict.SENSOR_BIASED: frozenset({SENSOR}),
+    Verdict.SENSOR_DRIFTING: frozenset({SENSOR}),
+    Verdict.SENSOR_FROZEN: frozenset({SENSOR}),
+    Verdict.BOTH_LOST: frozenset({TORQUE, FORCE}),
+}
+"""The places that a verdict names; ``CANNOT_BE_TOLD`` names no place."""
+
+
+def harm_metrics(
+    scenario: Scenario, signals: Signals, lost: Mask
+) -> dict[str, float | bool | str | None]:
+    """The metrics of the whole run beside the same run without compensation.
+
+    Args:
+        scenario: the run.
+        signals: its signals.
+        lost: (ticks,), whether a fault of the torque exists.
+    """
+    with_it = without = path = path_without = None
+    output = signals.plant.get(TRUE_OUTPUT)
+    if output is not None and len(signals):
+        goal = undisturbed(scenario, signals).output_mps2
+        with_it, path = _away(output, goal, scenario.tick_s)
+        if scenario.controller.is_ours:  # no other controller has a switch for its compensation
+            other = uncompensated(scenario, signals).output_mps2
+            without, path_without = _away(other, goal, scenario.tick_s)
+    force, limit_n = signals.force_difference_n, target(scenario, network_of(scenario)).limit_2
+    acts = ~lost & (np.abs(force) > ACTS * limit_n)
+    ratio = None if with_it is None or not without else with_it / without
+    return {
+        "deviation_peak_mps2": with_it,
+        "deviation_peak_uncompensated_mps2": without,
+        "deviation_over_uncompensated": ratio,
+        "astray_m": path,
+        "astray_uncompensated_m": path_without,
+        "torque_rms_nm": _rms(signals.torque_nm),
+        "force_difference_unneeded_rms_n": _rms(force, ~lost),
+        "force_difference_unneeded_peak_n": peak_of(_magnitude(force), ~lost),
+        "compensated_unneeded_s": float(acts.sum()) * scenario.tick_s if len(signals) else None,
+        **_placed(scenario, signals),
+    }
+
+
+def _placed(scenario: Scenario, signals: Signals) -> dict[str, bool | str | None]:
+    """Where the faults are, the longest verdict since the first fault, and its truth."""
+    faulty = {fault.place for fault in scenario.faults}
+    place = " and ".join(sorted(faulty)) or "nothing" if len(signals) else None
+    if signals.verdict is None or not len(signals):
+        return {"place": place, "verdict": None, "right_place": None, "wrong_place": None}
+    first = min((fault.at_s for fault in scenario.faults), default=0.0)
+    counts = np.zeros(len(Verdict), dtype=np.int64)
+    for rows in paged.blocks(len(signals)):
+        codes = signals.verdict[rows][signals.time_s[rows] >= first - 1e-9]
+        known = codes[np.isfinite(codes)].astype(np.int64)
+        counts += np.bincount(known, minlength=len(Verdict))[: len(Verdict)]
+    counts[list(NO_FAULT)] = 0
+    verdict = Verdict(int(np.argmax(counts))) if counts.any() else Verdict.NOTHING
+    named = NAMED.get(verdict, frozenset())
+    return {
+        "place": place,
+        "verdict": verdict.name,
+        "right_place": bool(named and named <= faulty) if faulty else None,
+        "wrong_place": bool(named - faulty),
+    }
+
+
+def _away(output: FloatArray, goal: FloatArray, tick_s: float) -> tuple[float | None, float | None]:
+    """The largest deviation of ``output`` from ``goal``, m/s², and how far the path goes astray.
+
+    The second is the largest lateral displacement that the deviation causes within ``DRIVER_S``,
+    in m, from any moment on. A plant that has failed has neither.
+    """
+    n = round(DRIVER_S / tick_s)
+    largest = farthest = 0.0
+    for rows in paged.blocks(len(output)):
+        begin = max(rows.start - n, 0)
+        away = output[begin : rows.stop] - goal[begin : rows.stop]
+        if not np.isfinite(away).all():
+            return None, None
+        largest = max(largest, float(np.abs(away[rows.start - begin :]).max()))
+        calm = np.zeros(n + 1 - (rows.start - begin))
+        speed = np.cumsum(np.concatenate([calm, away])) * tick_s
+        place = np.cumsum(speed) * tick_s
+        moved = place[n:] - place[:-n] - n * tick_s * speed[:-n]
+        farthest = max(farthest, float(np.abs(moved).max()))
+    return largest, round(farthest, DECIMALS)
+
+
+def _rms(values: FloatArray, among: Mask | None = None) -> float | None:
+    """The rms of the finite values ``among`` these ticks; None without a finite value."""
+    total, count = 0.0, 0
+    for rows in paged.blocks(len(values)):
+        known = np.isfinite(values[rows])
+        if among is not None:
+            known &= among[rows]
+        total += float(np.sum(np.square(values[rows]), where=known, initial=0.0))
+        count += int(known.sum())
+    return round((total / count) ** 0.5, DECIMALS) if count else None

@@ -12,7 +12,7 @@ import numpy as np
 from can import Message
 
 from can_rig import paged
-from can_rig.drawing.column_names import column_names
+from can_rig.drawing.names import column_names
 from can_rig.frames.codec import NO_DECISION, WIRE_TICKS, tick_at, ticks_ahead
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network

@@ -174,7 +174,6 @@ def target(scenario: Scenario, network: Network | None) -> Target:
     Without a network, commands are neither limited nor rounded.
     """
     chosen, limits = scenario.design, scenario.limits
-    follows = chosen.estimator == "kalman"
     limit_1, limit_2, rate_1, rate_2 = (
         math.inf if limit is None else limit
         for limit in (
@@ -194,7 +193,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
     return Target(
         tick_s=scenario.tick_s,
         latency_ticks=scenario.latency_ticks,
-        estimator="zoh" if chosen.estimator == "kalman" else chosen.estimator,
+        estimator=chosen.estimator,
         limit_1=limit_1,
         limit_2=limit_2,
         rate_1=rate_1,
@@ -207,10 +206,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         resolution=math.hypot(sensor.resolution_mps2, lsb),
         false_alarms_per_hour=scenario.budget.false_alarms_per_hour,
         suspicions_per_hour=scenario.budget.suspicions_per_hour,
-        probe=chosen.probe_nm,
-        probe_rad_per_s=chosen.probe_rad_per_s,
-        on_confirmation=chosen.compensation == "on-confirmation" or follows,
-        share_drift=chosen.share_drift if follows else 0.0,
+        on_confirmation=chosen.compensation == "on-confirmation",
         safe_stop_s=chosen.safe_stop_s,
         precision=chosen.precision,
     )

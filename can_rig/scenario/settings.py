@@ -236,22 +236,15 @@ Order = Annotated[int, Field(ge=1, le=8)]
 
 @dataclass(frozen=True, config=STRICT)
 class DesignSettings:
-    """The thesis's tuning knobs, and their discretisation for the target.
-
-    The estimator ``kalman`` discretises F1 as ``zoh`` does. Instead of deciding on d̂, ``kalman``
-    tracks the lost share of channel 1, which drifts by ``share_drift`` rms in a second.
-    """
+    """The thesis's tuning knobs, and their discretisation for the target."""
 
     tau_s: PositiveFloat = 0.001
     alpha: Order = 1
     tau_q_s: PositiveFloat = 0.001
     alpha_q: Order = 2
     feedback: bool = True
-    estimator: Literal[Rule, "kalman"] = "tustin"
-    share_drift: PositiveFloat = 1.0
+    estimator: Rule = "tustin"
     compensation: Literal["always", "on-confirmation", "off"] = "always"
-    probe_nm: NonNegativeFloat = 0.0
-    probe_rad_per_s: Annotated[float, Field(ge=0.01)] = 10.0
     safe_stop_s: NonNegativeFloat = 0.0
     precision: Precision = "float64"
     speeds_mps: tuple[DesignSpeed, ...] | None = None

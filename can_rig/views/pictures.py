@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from can_rig import paged
-from can_rig.decoding.message_columns import MessageColumns
+from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.drawing import style
 from can_rig.drawing.names import printed
 from can_rig.drawing.thinning import thinned

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from can_rig import paged
 from can_rig.assessment.resolve import load_run
-from can_rig.drawing.column_names import column_names
-from can_rig.drawing.names import CAR, Names, names_of
+from can_rig.drawing.names import CAR, Names, column_names, names_of
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.columns import APPLIED, EVIDENCE_OF, ON_THE_BUS, TRUE_OUTPUT, VERDICT
 from can_rig.logs.compression import open_text, stored

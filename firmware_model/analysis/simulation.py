@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from firmware_model.analysis import hardware
 from firmware_model.analysis.loop import (
+    ACTING_1,
     COMMAND_1,
     COMMAND_2,
     ESTIMATE,
@@ -94,6 +95,17 @@ class LoopPlant(AnyPlant, Protocol):
         """Advance loop and plant from the loop's tick ``begin`` to ``end``; see ``world_loop``.
 
         ``output`` and the result are those of ``follow``.
+        """
+
+
+@runtime_checkable
+class SensedPlant(AnyPlant, Protocol):
+    """A plant with further sensors, which somebody hears tick by tick."""
+
+    def sense(self, told: tuple[float, float]) -> None:
+        """Read the sensors of this tick, before the controller's step.
+
+        ``told`` is what each actuator was told in the tick before.
         """
 
 
@@ -244,9 +256,11 @@ class Simulation:
                 self._output = plant.run_loop(self._loop, self.done, end, self._output)
                 self.done = end
             return
-        effectiveness = self.inputs[3]
+        effectiveness, sensed = self.inputs[3], plant if isinstance(plant, SensedPlant) else None
         while self.done < end:
             k = self.done
+            if sensed is not None:
+                sensed.sense(self._told(k - 1))
             u1, u2 = self._tick(k)
             self.done += 1
             left = effectiveness[k].tolist()
@@ -274,6 +288,14 @@ class Simulation:
         )  # fmt: skip
         states[:, k] = fault_state, mode, verdict
         return carry(other.latency_ticks, inputs, grid, actuators, signals, k)
+
+    def _told(self, k: int) -> tuple[float, float]:
+        other = self._other
+        latency = self._table.estimator.latency_ticks if other is None else other.latency_ticks
+        sent = k - int(latency)
+        if sent < 0:
+            return 0.0, 0.0
+        return self._signals.item(ACTING_1, sent), self._signals.item(ACTING_1 + 1, sent)
 
     def go_on_from(self, other: Simulation) -> None:
         """Copy the position of ``other``: a loop of the same table, ``SampledPlant`` and length.

@@ -21,7 +21,6 @@ from firmware_model.discretisation.tustin import tustin
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
 from firmware_model.law.fault_decision.hypotheses.frozen import Constants as FrozenConstants
-from firmware_model.law.fault_decision.probe import Constants as ProbeConstants
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.estimator import Constants as EstimatorConstants
 from firmware_model.law.layout import Table, table_type
@@ -134,7 +133,6 @@ RESTART = -1.0  # evidence that ends a candidate
 FRESHNESS = 0.1  # least growth of a candidate's information when the age doubles
 DEVIATIONS, NEVER = 3.0, 1e9  # threshold for losses above the model's channel
 SHARE_VARIANCE = 0.09  # of the share at the confirmation of a loss, at most
-LARGEST_SHARE_VARIANCE = 1.0  # of a followed share after long silence
 RECOVER = 5.0  # evidence of a return over evidence of a loss
 MOMENT = 0.5  # deviation of a loss's moment, as a part of the time to confirmation
 LEAST_DOUBT = 0.04  # for cars with a G1 20 % off the model
@@ -152,8 +150,6 @@ RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's chan
 # rms rounding error of a perfect sensor, in units of the measurement
 NO_NOISE: dict[Precision, float] = {"float64": 1e-9, "float32": 1e-6}
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
-PROBE_PERIODS = 2  # the half phase of ``probe`` goes once around
-PROBE_SHARE = 0.4  # missing that confirms; a car that is 20 % off looks like 0.3 at 10 rad/s
 
 
 def discretise(design: ContinuousDesign, target: Target) -> Filters:
@@ -214,8 +210,6 @@ def build(design: ContinuousDesign, target: Target) -> Table:
     _fill_mismatch(table, design, target)
     fill_hypotheses(table, target)
     table.safe_stop.duration = math.ceil(target.safe_stop_s / target.tick_s)
-    if target.probe > 0.0:
-        _fill_probe(table.probe, target)
     tables.flags.writeable = False
     made: Table = tables[0]
     return made
@@ -306,8 +300,6 @@ def _fill_decision(table: Table, target: Target) -> None:
     suspect = max(target.evidence(target.suspicions_per_hour), LEAST_EVIDENCE)
     decision.suspect = min(suspect, decision.confirm)
     decision.horizon = HORIZON_S / target.tick_s
-    decision.tracks_share = target.share_drift > 0.0
-    decision.pause_ticks = round(target.probe_pause_s / target.tick_s)
     table.loss_model.share_variance = SHARE_VARIANCE
     table.loss_model.doubt = DOUBT
     table.loss_model.least_doubt = LEAST_DOUBT if target.mismatch.cars else 0.0
@@ -345,9 +337,6 @@ def _fill_mismatch(table: Table, design: ContinuousDesign, target: Target) -> No
         constants.growth[i] = (1.0 - slow**2) * MISMATCH_VARIANCE
     constants.forgetting[last] = min(1.0 - fast, MOST_FORGOTTEN)
     constants.growth[last] = 1.0 - fast**2
-    drift = target.share_drift**2 * target.tick_s
-    constants.forgetting[0] = min(0.5 * drift / LARGEST_SHARE_VARIANCE, MOST_FORGOTTEN)
-    constants.growth[0] = drift
     constants.motion = (REMAINDER_S / target.tick_s) ** 2
     constants.beyond = BEYOND * MISMATCH_VARIANCE
     constants.white = WHITE
@@ -360,16 +349,6 @@ def _fill_mismatch(table: Table, design: ContinuousDesign, target: Target) -> No
         (1.0 - a * a) * target.noise_rms * target.noise_rms + (1.0 + a * a) * rounding + least
     )
     constants.colour = a
-
-
-def _fill_probe(probe: ProbeConstants, target: Target) -> None:
-    """Whole ticks for two periods, so the frequency moves a little."""
-    ticks = round(PROBE_PERIODS * 2.0 * math.pi / (target.probe_rad_per_s * target.tick_s))
-    half = np.exp(2j * math.pi / ticks)  # once around in a probe: two periods of the whole phase
-    probe.ticks = ticks
-    probe.amplitude = 0.5 * target.probe
-    probe.least_share = PROBE_SHARE
-    probe.rotation[:] = half.real, half.imag
 
 
 def _memory(target: Target, time_constant_s: float) -> float:

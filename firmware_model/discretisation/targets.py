@@ -34,16 +34,10 @@ class Target:
         mismatch: cars different from the model; the default trusts the model.
         false_alarms_per_hour: losses confirmed by chance, at most.
         suspicions_per_hour: false suspicions, compensated only for a few ticks, at most.
-        share_drift: rms change of the lost share within a second, 1/√s: a Kalman filter follows the
-            share instead of a test; 0: the test decides.
-        probe_pause_s: pause after a probe without a finding.
         on_confirmation: compensate from the confirmed loss on, with the modelled effect of the lost
             channel's commands, instead of always with d̂ (the thesis).
         safe_stop_s: time from the verdict "both actuators lost" to zero commands; 0: the commands
             go on.
-        probe: amplitude of the sine, in the unit of command 1; a loss is confirmed only if the
-            measurement lacks the sine; 0 for no probe.
-        probe_rad_per_s: its frequency.
         prewarp_rad_per_s: frequency at which C and F̂ keep their continuous response exactly.
         precision: of every number in the table and the state.
     """
@@ -64,12 +58,8 @@ class Target:
     mismatch: Mismatch = TRUSTED
     false_alarms_per_hour: float = 0.001
     suspicions_per_hour: float = 3600.0
-    share_drift: float = 0.0
-    probe_pause_s: float = 0.5
     on_confirmation: bool = False
     safe_stop_s: float = 0.0
-    probe: float = 0.0
-    probe_rad_per_s: float = 10.0
     prewarp_rad_per_s: float | None = None
     precision: Precision = "float64"
 
@@ -100,8 +90,6 @@ class Target:
             "lsb_2",
             "noise_rms",
             "resolution",
-            "share_drift",
-            "probe_pause_s",
             "safe_stop_s",
         ):
             if not 0.0 <= getattr(self, name) < math.inf:
@@ -110,13 +98,6 @@ class Target:
                 )
         if not 0.0 <= self.noise_pole < 1.0:
             raise ParameterError(f"noise_pole = {self.noise_pole:g}: must be 0 or above, below 1")
-        if not 0.0 <= self.probe < math.inf:
-            raise ParameterError(f"probe = {self.probe:g}: must be 0 (none) or above, and finite")
-        if self.probe and not 0.0 < self.probe_rad_per_s * self.tick_s <= math.pi / 4:
-            raise ParameterError(
-                f"probe_rad_per_s = {self.probe_rad_per_s:g}: must be above 0 and at most an "
-                f"eighth of the sampling frequency, {math.pi / 4 / self.tick_s:g} rad/s"
-            )
 
     def evidence(self, per_hour: float) -> float:
         """The log-likelihood ratio that chance exceeds ``per_hour`` times an hour at most.

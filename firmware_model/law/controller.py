@@ -54,9 +54,9 @@ from firmware_model.law.fault_decision.likelihood_ratio import (
 )
 from firmware_model.law.fault_decision.loss_model import (
     advance_loss_model,
+    clear_loss_model,
     known_share,
     loss_shown,
-    settle_loss_model,
 )
 from firmware_model.law.fault_decision.mismatch import clear_mismatch, settle_mismatch
 from firmware_model.law.fault_decision.other_cars import (
@@ -64,7 +64,6 @@ from firmware_model.law.fault_decision.other_cars import (
     settle_other_cars,
     show_other_cars,
 )
-from firmware_model.law.fault_decision.probe import probe_torque
 from firmware_model.law.fault_decision.safe_stop import stops, take_commands_back
 from firmware_model.law.filters.biquad import advance, output, settle
 from firmware_model.law.filters.estimator import (
@@ -154,8 +153,6 @@ def compute(table: Table, state: State, r: float, y: float) -> None:
     tracked = tracked_reference(table, state)
     wanted = tracked - table.tracking.feedback * (y + missing_output(table, state))
     torque = asked_torque(table.tracking, state.tracking, wanted + table.tracking.feedback * rest_1)
-    if state.probe.tick > 0:
-        torque = torque + probe_torque(table.probe, state.probe)
     made_up = make_up(table.shortfall_1, estimator.channel_1, table.actuator_1, state.shortfall_1)
     wish_1 = torque + made_up
     possible_1 = saturate_rate(table.actuator_1, wish_1, held_1)
@@ -261,15 +258,13 @@ def reset(table: Table, state: State, reference: float) -> None:
     model_1, model_2 = model_output(table.estimator, state.estimator, torque, force)
     settle_other_cars(table, state, torque, force)
     settle_mismatch(table, state, model_1 + model_2)
-    state.fault_state = CLEAR  # before what is lost settles: nothing is
-    settle_loss_model(table, state)
+    state.fault_state = CLEAR
+    clear_loss_model(state)
     start_candidate(table, state)
     clear_hypotheses(state)
     state.safe_stop.elapsed = 0.0
     state.shortfall_1.accumulators[:] = 0.0
     state.shortfall_2.accumulators[:] = 0.0
-    state.probe.tick = 0
-    state.decision.pause = 0
     release(state.bumpless_transfer)
     state.mode = MODE_INIT
 

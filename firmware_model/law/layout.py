@@ -45,8 +45,6 @@ from firmware_model.law.fault_decision.other_cars import (
 from firmware_model.law.fault_decision.other_cars import (
     State as OtherCarsState,
 )
-from firmware_model.law.fault_decision.probe import Constants as ProbeConstants
-from firmware_model.law.fault_decision.probe import State as ProbeState
 from firmware_model.law.fault_decision.safe_stop import (
     Constants as SafeStopConstants,
 )
@@ -98,7 +96,6 @@ class Table(Struct):
     loss_model: Annotated[LossModelConstants, "1", "what is lost"]
     decision: Annotated[DecisionConstants, "1", "on the fault state"]
     bumpless_transfer: Annotated[BumplessTransferConstants, "1", "of F̂ to s w"]
-    probe: Annotated[ProbeConstants, "1", "of the torque"]
     hypotheses: Annotated[verdict.Constants, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopConstants, "1", "where both actuators are lost"]
 
@@ -120,7 +117,6 @@ class State(status.State):
     loss_model: Annotated[LossModelState, "1", "what is lost"]
     decision: Annotated[DecisionState, "1", "on the fault state"]
     bumpless_transfer: Annotated[BumplessTransferState, "1", "of F̂ to s w"]
-    probe: Annotated[ProbeState, "1", "of the torque"]
     hypotheses: Annotated[verdict.State, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopState, "1", "where both actuators are lost"]
 

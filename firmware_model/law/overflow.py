@@ -30,7 +30,6 @@ def clear_memories(table: Table, state: State) -> None:
 
     A known loss stays known.
     """
-    state.probe.tick = 0
     state.tracking.filter.accumulators[:] = 0.0
     state.tracking.stabiliser.accumulators[:] = 0.0
     state.tracking.error = 0.0

@@ -31,7 +31,8 @@ from can_rig.logs.frames import (
     SENT,
     UInt8s,
 )
-from can_rig.logs.lines import (
+from can_rig.logs.log import Format, Log
+from can_rig.logs.text import (
     BAD,
     DECIMAL,
     DIGIT,
@@ -39,18 +40,19 @@ from can_rig.logs.lines import (
     FRAME,
     HEADING,
     HEXADECIMAL,
+    LAST_NS,
     LOWER,
     NO_FRAME,
     Found,
+    TextReader,
     blanks,
     line_loop,
     next_word,
     number,
     payload,
+    shown,
     word_end,
 )
-from can_rig.logs.log import Format, Log
-from can_rig.logs.text import LAST_NS, TextReader, shown
 from firmware_model.compiled import compiled
 
 _NS_DIGITS = 9
@@ -68,7 +70,7 @@ _BASE: Final = re.compile(rb"\*+(HEX|DEC)\*+", re.I)
 
 @compiled
 def _line(text: UInt8s, at: int, bases: NDArray[np.int64], row: UInt8s) -> Found:
-    """See `lines.Line`; ``bases`` has the base of bytes and of identifiers without ``0x``."""
+    """See `text.Line`; ``bases`` has the base of bytes and of identifiers without ``0x``."""
     at = blanks(text, at)
     if text[at] == _STAR:
         return HEADING, 0, 0, 0, 0, 0, at

@@ -36,7 +36,8 @@ from can_rig.logs.frames import (
     Frames,
     UInt8s,
 )
-from can_rig.logs.lines import (
+from can_rig.logs.log import Format
+from can_rig.logs.text import (
     BAD,
     DIGIT,
     EXTENDED_ID,
@@ -47,16 +48,16 @@ from can_rig.logs.lines import (
     NOT_A_DIGIT,
     STANDARD_ID,
     Found,
+    TextReader,
     blanks,
     fixed_point,
     is_blank,
     line_loop,
     next_line,
     next_word,
+    word,
     word_end,
 )
-from can_rig.logs.log import Format
-from can_rig.logs.text import TextReader, word
 from firmware_model.compiled import compiled
 
 _ERROR_BIT, _REMOTE_BIT = 1 << 29, 1 << 30
@@ -69,7 +70,7 @@ _FD_FLAGS_SHIFT: Final = 4  # of BITRATE_SWITCH and ERROR_STATE, in candump's or
 
 @compiled
 def _line(text: UInt8s, at: int, names: NDArray[np.int64], row: UInt8s) -> Found:
-    """See `lines.Line`; ``names`` are those of the known buses, each with a newline behind it."""
+    """See `text.Line`; ``names`` are those of the known buses, each with a newline behind it."""
     at = blanks(text, at)
     if text[at] == NEWLINE:
         return NO_FRAME, 0, 0, 0, 0, 0, at

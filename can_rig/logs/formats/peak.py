@@ -56,7 +56,8 @@ from can_rig.logs.frames import (
     Frames,
     UInt8s,
 )
-from can_rig.logs.lines import (
+from can_rig.logs.log import Format
+from can_rig.logs.text import (
     BAD,
     BAD_LINE,
     BYTES_OF_DLC,
@@ -70,6 +71,7 @@ from can_rig.logs.lines import (
     STANDARD_ID,
     TAB,
     Found,
+    TextReader,
     blanks,
     fixed_point,
     line_loop,
@@ -79,8 +81,6 @@ from can_rig.logs.lines import (
     same_word,
     word_end,
 )
-from can_rig.logs.log import Format
-from can_rig.logs.text import TextReader
 from firmware_model.compiled import compiled
 
 _NS_DIGITS_OF_MS = 6
@@ -128,7 +128,7 @@ _NS_PER_DAY: Final = 1000 * _US_PER_DAY
 
 @compiled
 def _line(text: UInt8s, at: int, columns: NDArray[np.int64], row: UInt8s) -> Found:
-    """See `lines.Line`; ``columns`` are the letters of the trace's own columns."""
+    """See `text.Line`; ``columns`` are the letters of the trace's own columns."""
     begin = at = blanks(text, at)
     bits = _OTHER  # until the type is known
     time_ns = identifier = size = direction = 0

@@ -34,7 +34,8 @@ from can_rig.logs.frames import (
     Frames,
     UInt8s,
 )
-from can_rig.logs.lines import (
+from can_rig.logs.log import Format
+from can_rig.logs.text import (
     BAD,
     DECIMAL,
     EXTENDED_ID,
@@ -45,14 +46,14 @@ from can_rig.logs.lines import (
     NO_FRAME,
     STANDARD_ID,
     Found,
+    TextReader,
     blanks,
     fixed_point,
     line_loop,
     number,
     same_word,
+    shown,
 )
-from can_rig.logs.log import Format
-from can_rig.logs.text import TextReader, shown
 from firmware_model.compiled import compiled
 
 _NS_DIGITS_OF_US = 3
@@ -65,7 +66,7 @@ _HEADER: Final = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
 
 @compiled
 def _line(text: UInt8s, at: int, has_direction: NDArray[np.int64], row: UInt8s) -> Found:
-    """See `lines.Line`; ``has_direction`` has a value if the lines have the cell Dir."""
+    """See `text.Line`; ``has_direction`` has a value if the lines have the cell Dir."""
     at = blanks(text, at)
     if text[at] == NEWLINE:
         return NO_FRAME, 0, 0, 0, 0, 0, at

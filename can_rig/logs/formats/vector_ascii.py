@@ -41,7 +41,8 @@ from can_rig.logs.frames import (
     Frames,
     UInt8s,
 )
-from can_rig.logs.lines import (
+from can_rig.logs.log import Format, Log
+from can_rig.logs.text import (
     BAD,
     BAD_LINE,
     BYTES_OF_DLC,
@@ -55,6 +56,7 @@ from can_rig.logs.lines import (
     SPACE,
     STANDARD_ID,
     Found,
+    TextReader,
     blanks,
     fixed_point,
     line_loop,
@@ -64,8 +66,6 @@ from can_rig.logs.lines import (
     same_word,
     word_end,
 )
-from can_rig.logs.log import Format, Log
-from can_rig.logs.text import TextReader
 from firmware_model.compiled import compiled
 
 _NS_DIGITS = 9
@@ -85,7 +85,7 @@ _END: Final = re.compile(rb"\s*end\s+triggerblock\s*", re.I)
 
 @compiled
 def _line(text: UInt8s, at: int, bases: NDArray[np.int64], row: UInt8s) -> Found:
-    """See `lines.Line`; ``bases`` has the base of identifiers, DLCs and bytes."""
+    """See `text.Line`; ``bases`` has the base of identifiers, DLCs and bytes."""
     base = int(bases[0])
     begin = at = blanks(text, at)
     time_ns, at = fixed_point(text, at, _NS_DIGITS)

@@ -21,7 +21,7 @@ import numpy as np
 from can.io import BLFWriter
 
 from can_rig.errors import LogError
-from can_rig.logs.formats.inflate import InflateError, inflated
+from can_rig.logs.compression import InflateError, inflated
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     CLASSIC_BYTES,
@@ -39,8 +39,8 @@ from can_rig.logs.frames import (
     empty_columns,
     numbered,
 )
-from can_rig.logs.lines import BYTES_OF_DLC
 from can_rig.logs.log import Format, Log
+from can_rig.logs.text import BYTES_OF_DLC
 from firmware_model.compiled import compiled
 
 _SIGNATURE: Final = b"LOGG"

@@ -10,14 +10,10 @@ makes a loss
 and clears a confirmed loss from ``recover`` on for the return: a false return costs more than a
 late return. A suspicion ends with its candidate.
 
-A table with a ``share_drift`` has no test: a state of the Kalman filter follows the lost share at
-all times, and a lost share above one half is CONFIRMED.
-
 A fault of the sensor or of channel 2 changes d̂ too. If ``hypotheses`` finds such a fault, the
-suspected loss of channel 1 is withdrawn; the unexplained rest counts as a loss. A table with a
-``probe`` tests the motor before confirmation and compensates only afterwards: a d̂ without an
-answer to a small torque stays SUSPECTED. If channel 1 contributes too little to show its loss
-within ``horizon``, a small d̂ proves no health, and the state is CANNOT_TELL instead of CLEAR.
+suspected loss of channel 1 is withdrawn; the unexplained rest counts as a loss. If channel 1
+contributes too little to show its loss within ``horizon``, a small d̂ proves no health, and the
+state is CANNOT_TELL instead of CLEAR.
 """
 
 from __future__ import annotations
@@ -35,7 +31,6 @@ from firmware_model.law.fault_decision.hypotheses.verdict import (
 )
 from firmware_model.law.fault_decision.likelihood_ratio import (
     candidate_output,
-    candidate_shown,
     forget_candidate,
     lost_share,
     start_candidate,
@@ -52,7 +47,6 @@ from firmware_model.law.fault_decision.loss_model import (
 )
 from firmware_model.law.fault_decision.mismatch import innovation, learn_loss, predict_mismatch
 from firmware_model.law.fault_decision.other_cars import show_other_cars
-from firmware_model.law.fault_decision.probe import begin_probe, correlate, end_probe
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import Struct
@@ -81,14 +75,11 @@ class Constants(Struct):
     ]
     suspect: Annotated[float, "1", "evidence from which a loss is compensated provisionally"]
     horizon: Annotated[float, "tick", "time within which a new loss must show"]
-    pause_ticks: Annotated[int, "tick", "pause after a probe without a finding"]
-    tracks_share: Annotated[int, "1", "1: a Kalman filter follows the lost share; 0: a test"]
 
 
 class State(Struct):
     """State."""
 
-    pause: Annotated[int, "tick", "until the next probe"]
     suspected_share: Annotated[float, "1", "part of channel 1 that a suspicion takes for lost"]
 
 
@@ -114,41 +105,29 @@ def decide(
     predict_mismatch(table, state, model_1 + model_2, w, earlier_shown(table, state))
     new = innovation(table.mismatch, state.mismatch, residual - state.loss_model.share * w)
     follow_share(table.loss_model, state)
-    if table.decision.tracks_share:
-        state.fault_state = CONFIRMED if known_share(state) > real(0.5, w) else CLEAR
-        return
-    if state.probe.tick > 0:
-        evaluate_probe(table, state, residual)
-        return
-    state.decision.pause = max(state.decision.pause - 1, 0)
     share = table.sequential_test.share
     update_test(table, state, new, -known_share(state) if before == CONFIRMED else share)
     weigh_hypotheses(table, state, new, model_1 + model_2 - state.loss_model.share * w)
-    probing = table.probe.ticks > 0
-    if found_elsewhere(state.hypotheses) and not probing:
+    if found_elsewhere(state.hypotheses):
         state.mismatch.previous_residual += sensor_error_shown(table, state) - known
         acquit(table, state)
         return
-    proven = test.evidence > constants.confirm
     if before == CONFIRMED:
         if test.evidence > constants.recover:
             recover(table, state)
         return
-    if proven and not probing:
+    if test.evidence > constants.confirm:
         confirm(table, state)
-    elif proven and state.decision.pause == 0:
-        state.fault_state = SUSPECTED
-        begin_probe(state.probe)
     elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
         state.fault_state = SUSPECTED
-        if before != SUSPECTED and not probing:
+        if before != SUSPECTED:
             begin_suspicion(table, state)
     else:
         shows = constants.horizon * model_1 * model_1
         state.fault_state = CLEAR
         if shows < constants.confirm * state.mismatch.variance:
             state.fault_state = CANNOT_TELL
-        if before == SUSPECTED and not probing:
+        if before == SUSPECTED:
             transfer_to_losses(table, state, real(0.0, new))
 
 
@@ -187,18 +166,6 @@ def acting_commands(table: Table, state: layout.State) -> tuple[float, float]:
     if table.estimator.shown_ticks_2 == 0:  # this tick's command is unknown yet, or held
         command_2 = state.command_2
     return command_1, command_2
-
-
-@firmware
-def evaluate_probe(table: Table, state: layout.State, residual: float) -> None:
-    """Take in a tick of the probe; at its end confirm the loss, or wait with the next probe."""
-    if not correlate(table.probe, state.probe, residual, candidate_shown(table, state)):
-        return
-    if end_probe(state.probe) >= table.probe.least_share:
-        confirm(table, state)
-    else:
-        state.decision.pause = table.decision.pause_ticks
-        start_candidate(table, state)
 
 
 @firmware
@@ -252,6 +219,6 @@ def transfer_to_losses(table: Table, state: layout.State, share: float) -> None:
 def compensated_output(table: Table, state: layout.State) -> float:
     """The input of F̂: the known loss plus the suspected loss."""
     lost: float = state.loss_model.followed * loss_output(table, state)
-    if state.fault_state == SUSPECTED and table.probe.ticks == 0:
+    if state.fault_state == SUSPECTED:
         lost = lost + state.decision.suspected_share * candidate_output(table, state)
     return lost

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.filters import biquad
-from firmware_model.law.filters.biquad import advance, output, settle
+from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
@@ -53,9 +53,7 @@ class State(Struct):
 @firmware
 def loss_output(table: Table, state: layout.State) -> float:
     """Return w of this tick, driven by this tick's command."""
-    w: float = output(
-        table.estimator.channel_1, state.loss_model.channel_1, lost_command(table, state)
-    )
+    w: float = output(table.estimator.channel_1, state.loss_model.channel_1, lost_command(state))
     return w
 
 
@@ -97,10 +95,10 @@ def follow_share(constants: Constants, state: layout.State) -> None:
 
 
 @firmware
-def lost_command(table: Table, state: layout.State) -> float:
+def lost_command(state: layout.State) -> float:
     """The command with the lost share s: this tick's command, or zero before a known loss."""
     command: float = state.command_1
-    if state.fault_state == CONFIRMED or table.decision.tracks_share:
+    if state.fault_state == CONFIRMED:
         return command
     return real(0.0, command)
 
@@ -109,7 +107,7 @@ def lost_command(table: Table, state: layout.State) -> float:
 def advance_loss_model(table: Table, state: layout.State) -> None:
     """Advance w by this tick's command, computed or held."""
     loss = state.loss_model
-    w = advance(table.estimator.channel_1, loss.channel_1, lost_command(table, state))
+    w = advance(table.estimator.channel_1, loss.channel_1, lost_command(state))
     loss.previous_output = w
     advance(table.estimator.channel_1, loss.earlier, real(0.0, w))
     if table.estimator.shown_ticks_1 > 0:
@@ -138,16 +136,6 @@ def take_over_candidate(table: Table, state: layout.State, share: float, sign: f
     loss.previous_output = earlier * loss.previous_output + sign * test.previous_output
     loss.share = share
     loss.between = loss.followed = possible_share(share)
-
-
-@firmware
-def settle_loss_model(table: Table, state: layout.State) -> None:
-    """Reset to no loss, in the steady state for the command of this tick."""
-    clear_loss_model(state)
-    loss = state.loss_model
-    w = settle(table.estimator.channel_1, loss.channel_1, lost_command(table, state))
-    loss.previous_output = w
-    loss.delay[:] = w
 
 
 @firmware

@@ -49,7 +49,7 @@ def act(
 def lose_command_1(table: Table, state: State, motion: biquad.State, lost: float) -> None:
     """Subtract ``lost`` from the acting command 1."""
     constants, test, loss = table.estimator, state.sequential_test, state.loss_model
-    owes = state.fault_state == CONFIRMED or table.decision.tracks_share > 0
+    owes = state.fault_state == CONFIRMED
     first = state.estimator.shown_index_1 - constants.latency_ticks
     motion.accumulators[:] = 0.0
     for k in range(constants.latency_ticks):

@@ -17,8 +17,6 @@ After a confirmed loss two more states learn the error of the share (x is the lo
 of the moment in ticks (x is the effect of one more command): share and moment are only roughly
 known at first.
 
-With a ``share_drift`` the lost share is a state from the start, and wanders even in a steady car.
-
 The effect of other cars beyond the first order is a remainder that changes as slowly as the car
 moves: one more θ with x = 1. Both wander only while the car moves: the steady state of a bend is
 constant, so the filter soon knows the steady d̂ and distinguishes a loss at once. The measure of
@@ -165,12 +163,9 @@ def innovation(constants: Constants, state: State, residual: float) -> float:
     one = real(1.0, new)
     wander = min(state.change / state.extent, one) if state.extent > real(0.0, new) else one
     for i in range(n):
-        moves = wander if i >= LOSS_STATES else one
-        memory[i] = one - moves * constants.forgetting[i]
+        memory[i] = one - wander * constants.forgetting[i]
         theta[i] = memory[i] * (theta[i] + gain[i] * new)
     fade(state.covariance, n, memory)
-    if constants.growth[0] > real(0.0, new):
-        grow(state.covariance, 0, constants.growth[0])
     for i in range(LOSS_STATES, n):
         growth = state.remainder if i == n - 1 else wander
         grow(state.covariance, i, constants.growth[i] * growth)

@@ -1,4 +1,4 @@
-"""Numbers of the table that decide, follow a share that drifts, and limit a command."""
+"""Numbers of the table that decide and limit a command."""
 
 from __future__ import annotations
 
@@ -27,25 +27,6 @@ def test_the_test_looks_as_long_as_it_learns_and_doubts_where_cars_differ(cars: 
     assert table.loss_model.least_doubt == (0.04 if others else 0.0)
     # By how many deviations more than all must be lost: on a trusted car it cannot be.
     assert test.deviations == 3.0 if others else test.deviations >= 1e9
-
-
-@pytest.mark.parametrize("drift", [0.0, 0.3, 1.0])
-def test_a_share_that_drifts_is_followed(drift: float) -> None:
-    """Within a second by ``share_drift`` rms, and in the end by all of it: a variance of 1."""
-    table = build(CLOSED, Target(1e-3, share_drift=drift))
-    assert table.decision.tracks_share == (drift > 0.0)
-    growth, forgetting = table.mismatch.growth[0], table.mismatch.forgetting[0]
-    assert growth * 1000 == pytest.approx(drift**2, rel=1e-12)
-    if drift:
-        assert growth / (1.0 - (1.0 - forgetting) ** 2) == pytest.approx(1.0, rel=1e-3)
-    else:
-        assert forgetting == 0.0
-
-
-def test_however_fast_a_share_drifts_some_of_it_is_kept() -> None:
-    constants = build(CLOSED, Target(1e-3, share_drift=100.0)).mismatch
-    assert constants.forgetting[0] == 0.99
-    assert constants.forgetting[1] == constants.growth[1] == 0.0
 
 
 @pytest.mark.parametrize(("limit", "lsb", "possible"), [(10.3, 0.5, 10.0), (10.0, 0.1, 10.0)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cmath
 import math
 from typing import Any
 
@@ -232,33 +231,10 @@ def test_no_evidence_is_none_and_a_suspicion_comes_first() -> None:
 
 
 def test_what_is_asked_for_the_decision() -> None:
-    table = build(CLOSED, Target(2e-3, probe_pause_s=0.3, on_confirmation=True))
-    assert table.decision.pause_ticks == 150
+    table = build(CLOSED, Target(2e-3, on_confirmation=True))
     assert table.compensator.on_confirmation == 1
     assert (table.sequential_test.share, table.sequential_test.restart) == (0.8, -1.0)
     assert build(CLOSED, Target(1e-3)).compensator.on_confirmation == 0
-    assert build(CLOSED, Target(1e-3, probe_pause_s=0.043)).decision.pause_ticks == 43  # 42.999...
-
-
-@pytest.mark.parametrize("latency", [0, 2])
-@pytest.mark.parametrize("probe_rad_per_s", [10.0, 33.0])
-def test_the_probe_is_two_whole_periods_of_its_sine(probe_rad_per_s: float, latency: int) -> None:
-    tick_s = 1e-3
-    target = Target(tick_s, latency, probe=0.6, probe_rad_per_s=probe_rad_per_s)
-    probe = build(CLOSED, target).probe
-    assert abs(probe.ticks * tick_s - 2 * 2 * math.pi / probe_rad_per_s) <= tick_s / 2
-    assert probe.amplitude == 0.3
-    assert probe.least_share == 0.4
-    rotation = complex(*probe.rotation)
-    assert rotation**probe.ticks == pytest.approx(1.0)
-    assert cmath.phase(rotation) == pytest.approx(2 * math.pi / probe.ticks)
-
-
-@pytest.mark.parametrize("amplitude", [0.0, 0.5])
-def test_a_table_has_a_probe_only_if_one_is_asked_for(amplitude: float) -> None:
-    probe = build(CLOSED, Target(1e-3, probe=amplitude)).probe
-    assert (probe.ticks > 0) == (amplitude > 0.0)
-    assert probe.amplitude == amplitude / 2
 
 
 def test_the_largest_filter_of_the_layout_is_built_and_one_more_is_not() -> None:

@@ -14,8 +14,7 @@ from firmware_model.law.structs import MAX_LATENCY_TICKS
 TINY = 5e-324
 POSITIVE = ("limit_1", "limit_2", "rate_1", "rate_2", "reference_acceleration")
 RATES = ("false_alarms_per_hour", "suspicions_per_hour")
-SIZES = ("lsb_1", "lsb_2", "noise_rms", "resolution", "share_drift", "probe_pause_s")
-EIGHTH = math.pi / 4 / 1e-3  # rad/s, of the sampling frequency of 1 kHz
+SIZES = ("lsb_1", "lsb_2", "noise_rms", "resolution", "safe_stop_s")
 
 ACCEPTED: list[dict[str, Any]] = [
     {"latency_ticks": 0},
@@ -25,11 +24,6 @@ ACCEPTED: list[dict[str, Any]] = [
     *({name: value} for name in SIZES for value in (0.0, TINY, 1e300)),
     {"noise_pole": 0.0},
     {"noise_pole": math.nextafter(1.0, 0.0)},
-    {"probe": TINY},
-    {"probe": 1e300},
-    {"probe": 0.0, "probe_rad_per_s": -1.0},  # there is none: its frequency does not matter
-    {"probe": 0.5, "probe_rad_per_s": 1e-300},
-    {"probe": 0.5, "probe_rad_per_s": EIGHTH},
     *({"estimator": rule} for rule in ("tustin", "tustin-held", "zoh")),
 ]
 REFUSED: list[tuple[dict[str, Any], str]] = [
@@ -42,10 +36,6 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     *(({name: value}, f"{name} = {value:g}: must be finite and 0 or above")
       for name in SIZES for value in (-TINY, math.inf, math.nan)),
     *(({"noise_pole": value}, "must be 0 or above, below 1") for value in (-TINY, 1.0, math.nan)),
-    *(({"probe": value}, "must be 0 (none) or above, and finite")
-      for value in (-TINY, math.inf, math.nan)),
-    *(({"probe": 0.5, "probe_rad_per_s": value}, f"at most an eighth of the sampling frequency, "
-       f"{EIGHTH:g} rad/s") for value in (0.0, -1.0, math.nextafter(EIGHTH, 1e4), math.nan)),
     ({"estimator": "euler"}, "estimator = 'euler': must be one of tustin, tustin-held, zoh"),
 ]  # fmt: skip
 
@@ -70,7 +60,7 @@ def test_by_default_it_is_the_thesis_s() -> None:
     assert (target.latency_ticks, target.estimator) == (0, "tustin")
     for name in POSITIVE:
         assert getattr(target, name) == math.inf
-    for name in ("lsb_1", "lsb_2", "probe", "share_drift"):
+    for name in ("lsb_1", "lsb_2", "safe_stop_s"):
         assert getattr(target, name) == 0.0
     assert target.on_confirmation is False
     assert target.prewarp_rad_per_s is None
@@ -79,7 +69,6 @@ def test_by_default_it_is_the_thesis_s() -> None:
     assert (target.noise_rms, target.noise_pole, target.resolution) == (0.0, 0.0, 0.0)
     assert target.mismatch.cars == ()
     assert (target.false_alarms_per_hour, target.suspicions_per_hour) == (1e-3, 3600.0)
-    assert (target.probe_rad_per_s, target.probe_pause_s) == (10.0, 0.5)
 
 
 @pytest.mark.parametrize("per_hour", [0.001, 1.0, 3600.0])

@@ -29,12 +29,10 @@ from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 NUMBERS: dict[str, dict[str, Any]] = {
-    "decision": {"confirm": 10.0, "recover": 50.0, "suspect": 4.0, "horizon": 100.0,
-                 "pause_ticks": 7},
+    "decision": {"confirm": 10.0, "recover": 50.0, "suspect": 4.0, "horizon": 100.0},
     "sequential_test": {"share": 0.8, "promising": 4.0, "deviations": 1e9},
     "loss_model": {"share_variance": 0.09, "doubt": 9.0, "least_doubt": 0.0, "moment": 0.5},
 }  # fmt: skip
-PROBE = {"ticks": 3, "amplitude": 1.0, "least_share": 0.4}
 TORQUE_NM = 40.0
 
 
@@ -161,19 +159,6 @@ def test_what_f_hat_gets_of_the_share_follows_every_tick() -> None:
     assert state.loss_model.between == pytest.approx(0.5 * table.loss_model.follow)
 
 
-@pytest.mark.parametrize(
-    ("share", "after"), [(0.5, CLEAR), (0.5 * ABOVE, CONFIRMED), (0.4, CLEAR), (1.0, CONFIRMED)]
-)
-@pytest.mark.parametrize("before", [CLEAR, CONFIRMED])
-def test_a_share_that_is_followed_is_confirmed_from_a_half_on(
-    share: float, after: int, before: int
-) -> None:
-    """No evidence at all."""
-    table, state = begun(1e9, before, decision={"tracks_share": 1})
-    state.loss_model.share = share
-    assert tick(table, state) == after
-
-
 @pytest.mark.parametrize("fault_state", [CLEAR, SUSPECTED, CONFIRMED])
 @pytest.mark.parametrize("shown_ticks_2", [0, 2])
 def test_the_commands_that_act_are_those_that_show_without_what_is_known_to_be_lost(
@@ -197,6 +182,3 @@ def test_f_hat_makes_up_for_what_is_lost_and_what_is_suspected() -> None:
         if fault_state == SUSPECTED:
             expected += 0.25 * float(candidate_output(table, state))
         assert float(compensated_output(table, state)) == pytest.approx(expected, rel=1e-12)
-    table, _ = begun(probe=PROBE)
-    state.fault_state = SUSPECTED  # with a probe nothing is made up for before it is confirmed
-    assert compensated_output(table, state) == 0.5 * loss_output(table, state)

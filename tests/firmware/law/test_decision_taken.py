@@ -1,4 +1,4 @@
-"""Effects of a decision: transfer, loss model, doubts, the next candidate, probes."""
+"""Effects of a decision: transfer, loss model, doubts, the next candidate."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer
 from firmware_model.law.fault_decision.decision import CLEAR, CONFIRMED, SUSPECTED
 from firmware_model.law.fault_decision.likelihood_ratio import candidate_output
-from firmware_model.law.fault_decision.loss_model import known_share, loss_output
-from tests.firmware.law.test_decision_steps import ABOVE, PROBE, begun, moving, tick
+from firmware_model.law.fault_decision.loss_model import loss_output
+from tests.firmware.law.test_decision_steps import begun, moving, tick
 
 
 def transferred(table: Any, before: Any, after: Any, share: float) -> Any:
@@ -146,62 +146,3 @@ def test_a_suspicion_ends_with_a_transfer_to_what_is_left() -> None:
     state.bumpless_transfer.missed = 123.0
     assert tick(table, state) == CLEAR
     assert state.bumpless_transfer.missed == 123.0
-
-
-def test_a_pause_ends_at_zero() -> None:
-    table, state = begun()
-    state.decision.pause = 2
-    pauses = []
-    for _ in range(4):
-        tick(table, state)
-        pauses.append(int(state.decision.pause))
-    assert pauses == [1, 0, 0, 0]
-
-
-@pytest.mark.parametrize("pause", [0, 1, 2])
-def test_with_a_probe_a_loss_is_proven_before_it_is_confirmed(pause: int) -> None:
-    """Not before the pause is over, and nothing is made up for meanwhile."""
-    table, state = set_up(20.0, CLEAR, 0.0, probe=PROBE)
-    state.decision.pause = pause
-    transfer = state.bumpless_transfer.copy()
-    assert tick(table, state) == SUSPECTED
-    assert state.probe.tick == (0 if pause == 2 else 1)
-    assert state.bumpless_transfer.tobytes() == transfer.tobytes()
-
-
-def test_with_a_probe_a_suspicion_comes_and_goes_without_a_transfer() -> None:
-    for evidence, before, after in ((5.0, CLEAR, SUSPECTED), (-0.5, SUSPECTED, CLEAR)):
-        table, state = set_up(evidence, before, 0.0, probe=PROBE)
-        if after == CLEAR:
-            state.sequential_test.channel_1.accumulators[:] = 0.0
-        transfer = state.bumpless_transfer.copy()
-        assert tick(table, state) == after
-        assert state.bumpless_transfer.tobytes() == transfer.tobytes()
-
-
-@pytest.mark.parametrize("found", [0.4 * ABOVE, 0.4, 0.4 / ABOVE])
-def test_the_last_tick_of_a_probe_confirms_the_loss_or_begins_again(found: float) -> None:
-    """The tick itself adds nothing here: no d̂, and no w."""
-    table, state = set_up(20.0, SUSPECTED, 0.0, probe=PROBE)
-    state.sequential_test.channel_1.accumulators[:] = 0.0
-    state.command_1 = 0.0
-    state.probe.tick, state.probe.cosine = 1, 1.0
-    state.probe.correlation[:] = [found, 0.0, 1.0, 0.0]
-    for left in (2, 1):
-        assert tick(table, state) == SUSPECTED
-        assert state.sequential_test.evidence == 20.0  # the test waits
-        assert state.probe.tick == 4 - left
-    after = tick(table, state)
-    assert after == (CONFIRMED if found >= 0.4 else SUSPECTED)
-    assert state.probe.tick == 0
-    assert state.sequential_test.evidence == 0.0
-    assert state.decision.pause == (0 if found >= 0.4 else 7)
-    assert (known_share(state) > 0.0) == (found >= 0.4)
-
-
-def test_a_probe_correlates_the_estimate_and_w_of_its_ticks() -> None:
-    table, state = set_up(20.0, SUSPECTED, 0.0, probe=PROBE)
-    state.probe.tick, state.probe.cosine, state.probe.sine = 1, 1.0, 0.0
-    w = float(candidate_output(table, state))
-    tick(table, state, residual=0.7)
-    np.testing.assert_allclose(state.probe.correlation, [0.7, 0.0, w, 0.0])

@@ -20,9 +20,9 @@ CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = FaultState
 SUSPECT, CONFIRM, RECOVER = 3.0, 8.0, 40.0
 
 
-def begun(probe: float = 0.0, before: FaultState = CLEAR) -> tuple[Any, Any]:
-    of = Target(TICK_S, 1, "zoh", noise_rms=0.01, probe=probe, on_confirmation=True)
-    levels = {"suspect": SUSPECT, "confirm": CONFIRM, "recover": RECOVER, "pause_ticks": 7}
+def begun(before: FaultState = CLEAR) -> tuple[Any, Any]:
+    of = Target(TICK_S, 1, "zoh", noise_rms=0.01, on_confirmation=True)
+    levels = {"suspect": SUSPECT, "confirm": CONFIRM, "recover": RECOVER}
     tables = changed(build(DESIGN, of), decision=levels)
     state = controller.init(tables[0])[0]
     state.fault_state = before
@@ -116,29 +116,3 @@ def test_f_hat_is_led_back_from_what_has_come_back() -> None:
     table, state = carrying(CONFIRMED, share=0.6, between=0.6, followed=0.6, previous_output=0.4)
     decided(table, state, RECOVER + 1.0)
     assert state.bumpless_transfer.missed == pytest.approx(0.6 * 0.4 - 0.6 * 0.5 - 0.2)
-
-
-def test_a_probe_comes_before_a_confirmation_and_pauses_after_one_that_found_nothing() -> None:
-    table, state = begun(probe=1.0)
-    assert decided(table, state, SUSPECT + 1.0) == SUSPECTED
-    assert (state.probe.tick, state.bumpless_transfer.missed_memory) == (0, 0.0)
-    assert decided(table, state, CONFIRM + 1.0) == SUSPECTED
-    assert state.probe.tick == 1
-    state.sequential_test.age = 50.0
-    while state.probe.tick > 0:  # no d̂, no w: nothing is missing
-        assert state.decision.pause == 0
-        assert decided(table, state, CONFIRM + 1.0) == SUSPECTED
-    assert (state.decision.pause, state.sequential_test.age) == (7, 0.0)
-    for left in (6, 5, 4, 3, 2, 1):
-        assert decided(table, state, CONFIRM + 1.0) == SUSPECTED
-        assert (state.decision.pause, state.probe.tick) == (left, 0)
-    decided(table, state, CONFIRM + 1.0)
-    assert (state.decision.pause, state.probe.tick) == (0, 1)
-
-
-@pytest.mark.parametrize(("found", "after"), [(0.39, SUSPECTED), (0.4, CONFIRMED)])
-def test_a_probe_confirms_from_its_least_share_on(found: float, after: FaultState) -> None:
-    table, state = begun(probe=1.0, before=SUSPECTED)
-    state.probe.tick = table.probe.ticks
-    state.probe.correlation[:] = found, 0.0, 1.0, 0.0
-    assert decided(table, state, CONFIRM + 1.0) == after

@@ -29,14 +29,13 @@ from firmware_model.law.fault_decision.loss_model import (
     known_share,
     loss_output,
     loss_shown,
-    settle_loss_model,
     take_over_candidate,
 )
 from firmware_model.law.filters.biquad import output
 from firmware_model.law.filters.estimator import advance_model
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
-from tests.firmware.law.cases import CAR, TICK_S, changed
+from tests.firmware.law.cases import CAR, TICK_S
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 COMMANDS = np.cumsum(np.random.default_rng(1).standard_normal(30))
@@ -138,25 +137,6 @@ def test_s_w_is_continuous_where_a_candidate_is_taken_over(
         assert abs(older) > 1e-9
         advance(table, apart, 0.0)
         advance(table, together, 0.0)
-
-
-@pytest.mark.parametrize("latency", LATENCIES)
-def test_where_the_share_is_followed_at_all_times_w_settles_too(latency: int) -> None:
-    """All of G1 u1 may be lost then, whatever the fault state; of a settled one nothing is."""
-    tables = changed(build(DESIGN, Target(TICK_S, latency)), decision={"tracks_share": 1})
-    table, state = tables[0], controller.init(tables[0])[0]
-    for command in COMMANDS:
-        advance(table, state, command)
-    state.loss_model.share = state.loss_model.followed = 0.4
-    state.command_1 = 3.0
-    settle_loss_model(table, state)
-    assert (state.loss_model.share, state.loss_model.followed) == (0.0, 0.0)
-    steady = pytest.approx(3.0 * CAR.g1.dc_gain, rel=1e-9)
-    assert state.loss_model.previous_output == steady
-    for _ in range(5):
-        assert loss_output(table, state) == steady
-        assert loss_shown(table, state) == steady
-        advance(table, state, 3.0)
 
 
 def test_what_is_cleared_is_nothing() -> None:

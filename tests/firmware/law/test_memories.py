@@ -91,7 +91,7 @@ def test_after_a_reset_nothing_is_left_of_what_was_before(
         assert (state.mode, state.fault_state) == (Mode.INIT, FaultState.CLEAR)
         assert state.reference == reference
         assert state.command_1 == pytest.approx(reference / CAR.g1.dc_gain, abs=0.01)
-        assert (state.fault_estimate, state.decision.pause) == (0.0, 0)
+        assert state.fault_estimate == 0.0
         found.append(answers(table, state))
     assert found[1] == found[2] == found[0]
 
@@ -103,7 +103,6 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation: b
     state = used(table)
     expected = state.copy()
     clear_memories(table, state)
-    expected.probe.tick = 0
     expected.tracking.filter.accumulators[:] = 0.0
     expected.tracking.error = 0.0
     expected.tracking.stabiliser.accumulators[:] = 0.0
@@ -154,7 +153,6 @@ def test_where_one_of_the_models_is_lost_nothing_is_known_any_more(path: str) ->
     state.loss_model.followed = 1.0
     clear_memories(table, state)
     assert state.fault_state == FaultState.CLEAR
-    state.decision.pause = 0
     fresh.command_1, fresh.command_2 = state.command_1, state.command_2
     for name in ("delay_1", "delay_2", "delay_index", "shown_index_1", "shown_index_2"):
         fresh.estimator[name] = state.estimator[name]  # what is on its way still comes

@@ -128,17 +128,6 @@ def test_an_error_is_gone_where_less_than_half_is_left(sizes: list[float], gone:
     assert state.hypotheses.sensor_error.offset == pytest.approx(0.0 if gone else sum(sizes))
 
 
-@pytest.mark.parametrize("ticks", [1, 100])
-def test_where_a_probe_asks_the_motor_nothing_is_taken_out(ticks: int) -> None:
-    table = table_of()
-    table.probe.ticks = ticks
-    state = controller.init(table)[0]
-    biased = state.hypotheses.signatures.sensor_biased
-    biased.candidate["size_now"] = 0.1
-    assert not learn_sensor_error(table, state, biased, -1.0)
-    assert state.hypotheses.sensor_error.offset == 0.0
-
-
 def test_a_suspicion_ends_and_is_given_back_without_a_bump() -> None:
     table = table_of(on_confirmation=True)
     state = controller.init(table)[0]

@@ -17,7 +17,6 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.fault_decision.bumpless_transfer import transfer
 from firmware_model.law.fault_decision.decision import compensated_output
-from firmware_model.law.fault_decision.probe import probe_torque
 from firmware_model.law.filters.biquad import advance
 from firmware_model.law.filters.shortfall import make_up
 from firmware_model.law.filters.tracking import missing_output, track_on
@@ -182,19 +181,6 @@ def test_a_hold_tells_the_other_cars_and_the_candidate_what_goes_on() -> None:
     assert acting[0] != 0.0
     assert state.sequential_test.previous_output != w
     assert (state.reference, state.measurement) == (1.0, 0.0)
-
-
-def test_the_probe_comes_on_top_of_what_c_asks_for() -> None:
-    probed = {"ticks": 50, "amplitude": 3.0, "rotation": (math.cos(0.3), math.sin(0.3))}
-    torques = []
-    for tick in (0, 1, 7):
-        table, state, _ = of(Target(TICK_S), probe=probed)
-        state.probe.tick, state.probe.cosine, state.probe.sine = tick, 0.6, 0.8
-        adds = float(probe_torque(table.probe, state.probe))
-        controller.step(table, state, 0.3, 0.1)
-        torques.append(float(state.command_1))
-    assert [t - torques[0] for t in torques[1:]] == pytest.approx([adds, adds], rel=1e-9)
-    assert abs(adds) > 1.0
 
 
 def test_the_open_loop_gives_channel_2_its_share_of_the_reference() -> None:

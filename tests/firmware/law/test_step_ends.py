@@ -113,11 +113,3 @@ def test_a_reset_knows_what_both_channels_add() -> None:
     controller.reset(table, state, 2.0)
     both = 2.0 * (chapter_2().g1.dc_gain + chapter_2().g2.dc_gain)
     assert state.mismatch.previous_model_output == pytest.approx(both, rel=1e-9)
-
-
-def test_a_reset_ends_a_probe() -> None:
-    table = table_of(probe=2.0)
-    state = controller.init(table)[0]
-    state.probe.tick = 3
-    controller.reset(table, state, 0.0)
-    assert state.probe.tick == 0

@@ -44,17 +44,9 @@ def test_the_closing_table_keeps_each_metric_on_its_line(
 
 def test_what_isolates_whose_fault_it_is_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "1000")
-    own, probed, followed = (
-        next(line for line in asked("check", *words).stdout.splitlines() if "isolation:" in line)
-        for words in (
-            ("default",),
-            ("default", "--set", "design.probe_nm=5"),
-            ("default", "--set", "design.estimator=kalman"),
-        )
-    )
-    assert "the evidence tells either actuator, the sensor and another car apart" in own
-    assert "probe of 5 N m goes unanswered" in probed
-    assert followed.startswith("isolation: none")
+    lines = asked("check", "default").stdout.splitlines()
+    (said,) = [line for line in lines if "isolation:" in line]
+    assert "the evidence tells either actuator, the sensor and another car apart" in said
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,8 @@ from cantools.database.errors import DecodeError
 from hypothesis import strategies as st
 
 from can_rig.decoding.decode import Decoder
-from can_rig.decoding.message_columns import joined
-from can_rig.logs.frames import from_messages
+from can_rig.decoding.message_decoder import joined
+from tests.rig.logs.messages import from_messages
 
 
 def same(ours: object, theirs: object) -> bool:

@@ -13,8 +13,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from can_rig.decoding.decode import Decoder
-from can_rig.logs.frames import from_messages
 from tests.rig.decoding.databases import FEATURES, databases, numbers, require_agreement
+from tests.rig.logs.messages import from_messages
 
 
 @settings(max_examples=200)

@@ -16,9 +16,9 @@ from can_rig.decoding.files import Contents, output
 from can_rig.errors import DbcError
 from can_rig.frames.databases import load_database
 from can_rig.frames.protection import Checker, CheckStatus, Protector
-from can_rig.logs.frames import from_messages
 from tests.helpers import DBC
 from tests.rig.decoding.databases import FEATURES
+from tests.rig.logs.messages import from_messages
 
 RIG = DBC / "steer_by_wire.dbc"
 

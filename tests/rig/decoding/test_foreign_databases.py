@@ -11,9 +11,9 @@ from can import Message
 from can_rig.decoding.decode import Decoder
 from can_rig.errors import DbcError
 from can_rig.frames.databases import load_database
-from can_rig.logs.frames import from_messages
 from tests.helpers import DBC, asked, rig
 from tests.rig.decoding.databases import require_agreement
+from tests.rig.logs.messages import from_messages
 
 TWICE = """\
 VERSION ""

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from can_rig.decoding.decode import Decoder, decode_log
 from can_rig.decoding.j1939 import Transport
 from can_rig.frames.databases import load_database
-from can_rig.logs.frames import Frames, concatenate, from_messages
+from can_rig.logs.frames import Frames, concatenate
 from can_rig.logs.reading import read_log
 from tests.helpers import asked
+from tests.rig.logs.messages import from_messages
 
 BY_CAN_J1939 = """\
 (1795293514.969694) can0 18ECFF10#20090002FFCAFE00

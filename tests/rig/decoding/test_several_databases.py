@@ -14,8 +14,8 @@ from can_rig.decoding.decode import Decoder, decode_log
 from can_rig.decoding.j1939 import group_key
 from can_rig.errors import DbcError
 from can_rig.frames.databases import load_database
-from can_rig.logs.frames import from_messages
 from tests.helpers import asked
+from tests.rig.logs.messages import from_messages
 
 ONE = 'VERSION ""\nBU_: A\nBO_ 256 {name}: 1 A\n SG_ X : 0|8@1+ ({factor},0) [0|0] "" A\n'
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 import shutil
 import subprocess
+from collections.abc import Iterable, Mapping
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,17 +19,21 @@ from can_rig.assessment.resolve import load
 from can_rig.controllers.compiled_law import CompiledLaw
 from can_rig.errors import ExportError
 from can_rig.export.application import application, bench
+from can_rig.export.boards import emulated, image_of
 from can_rig.export.compiler import FLAGS, built, shared_library
 from can_rig.export.law import law_files, support
-from can_rig.export.programs import HOST_FLAGS, as_orders, host_program, on_board, on_host
 from can_rig.export.trials import (
+    HOST_FLAGS,
     Trial,
+    as_orders,
     different,
     encoded,
     in_python,
+    on_host,
     random_table,
     random_trials,
     states_of,
+    trial_files,
 )
 from can_rig.scenario.build import network_of
 from firmware_model.firmware import Law
@@ -40,6 +46,16 @@ MEMORIES, TICKS = 100, 12
 SANITIZED = (
     "-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all",
 )  # fmt: skip
+
+
+def host_program(law: Mapping[str, str], compiler: list[str], flags: Iterable[str]) -> Path:
+    files = trial_files(law) | {"bench_main.c": support("bench_main.c")}
+    return built(compiler, [*HOST_FLAGS, *flags], files, ".out")
+
+
+def on_board(law: Mapping[str, str], board: str, orders: bytes) -> bytes:
+    image = image_of(trial_files(law), "board_ecu.c", board)
+    return emulated(image, board, {"orders": orders}, "answers")
 
 
 @cache

@@ -16,8 +16,7 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.errors import RunFolderError
 from can_rig.export.application import HEADER, exported, write
-from can_rig.export.c_files import constants_files
-from can_rig.export.c_text import WIDTH
+from can_rig.export.c_files import WIDTH, constants_files
 from can_rig.export.compiler import built as compiled
 from can_rig.export.law import law_files
 from can_rig.export.trials import random_table

@@ -70,6 +70,11 @@ class Builder:
         head = struct.pack("<2sBxIQQ", b"DT", 1 if columns else 0, columns, len(data), len(content))
         return self.put(b"DZ", [], head + content)
 
+    def data_list(self, parts: list[int], following: int = 0) -> int:
+        """A list of data blocks, and the list that follows."""
+        data = struct.pack("<B3xI", 0, len(parts)) + bytes(8 * len(parts))
+        return self.put(b"DL", [following, *parts], data)
+
     def file(self, groups: int, start_ns: int = 10**18) -> bytes:
         """The whole file with this first data group."""
         head = struct.pack(
@@ -110,7 +115,7 @@ def described_first(
 ) -> int:
     """A data group, a list of its data, and behind both the data; the place of the group."""
     at = data_group(builder, first, 0, id_bytes)
-    blocks = builder.put(b"DL", [0] * (1 + len(parts)), bytes(8))
+    blocks = builder.data_list([0] * len(parts))
     for place, link in (
         (at + 40, blocks),
         *((blocks + 32 + 8 * n, part(builder)) for n, part in enumerate(parts)),

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from can_rig.logs.frames import from_messages
 from tests.rig.decoding.databases import FEATURES
 from tests.rig.logs.candump_samples import written
+from tests.rig.logs.messages import from_messages
 from tests.rig.logs.samples import CANOE, LOG2ASC, PEAK, by_python_can, kinds, plain
 
 TOOLS = Path(__file__).parents[3] / "tools"

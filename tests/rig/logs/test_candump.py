@@ -23,10 +23,10 @@ from can_rig.logs.frames import (
     REMOTE,
     SENT,
     concatenate,
-    from_messages,
 )
 from can_rig.logs.reading import read_log
 from tests.rig.logs.candump_samples import DIRECTED, GOOD, rows, whole, written
+from tests.rig.logs.messages import from_messages
 
 
 def test_what_candump_writes(tmp_path: Path) -> None:

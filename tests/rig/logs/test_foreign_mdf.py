@@ -80,8 +80,8 @@ def test_data_in_lists_and_compressed(tmp_path: Path, layout: str) -> None:
         at = builder.packed(content, RECORD.size)
     else:
         parts = [builder.put(b"DT", [], content[:333]), builder.packed(content[333:700])]
-        rest = builder.put(b"DL", [0, builder.put(b"DT", [], content[700:])], bytes(8))
-        at = builder.put(b"DL", [rest, *parts], bytes(8))
+        rest = builder.data_list([builder.put(b"DT", [], content[700:])])
+        at = builder.data_list(parts, rest)
         if layout == "header list":
             at = builder.put(b"HL", [at], bytes(8))
     path = written(tmp_path, builder.file(data_group(builder, first, at)), "a.mf4")
@@ -118,9 +118,7 @@ def test_records_of_several_groups_among_one_another(tmp_path: Path, id_bytes: i
     builder = Builder()
     data = among(40, id_bytes)
     first = groups_among(builder, 40)
-    at = builder.put(
-        b"DL", [0, builder.put(b"DT", [], data[:501]), builder.packed(data[501:])], bytes(8)
-    )
+    at = builder.data_list([builder.put(b"DT", [], data[:501]), builder.packed(data[501:])])
     path = written(tmp_path, builder.file(data_group(builder, first, at, id_bytes)), "a.mf4")
     found = rows(whole(path))
     assert [row[1] for row in found] == [0x100 + at for at in range(40)]

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from can_rig.errors import LogError
-from can_rig.logs.frames import (
-    concatenate,
-    from_messages,
-)
+from can_rig.logs.frames import concatenate
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
+from tests.rig.logs.messages import from_messages
 from tests.rig.logs.samples import START_S, by_python_can, content, kinds, plain, relative_ns
 
 

@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_rig.errors import LogError
-from can_rig.logs.frames import EXTENDED, FD, REMOTE, SENT, concatenate, from_messages
+from can_rig.logs.frames import EXTENDED, FD, REMOTE, SENT, concatenate
 from can_rig.logs.reading import content_format, read_log
 from can_rig.logs.writing import write_log
 from tests.rig.logs.candump_samples import rows, whole, written
+from tests.rig.logs.messages import from_messages
 from tests.rig.logs.samples import (
     BUSMASTER_DEC,
     BUSMASTER_HEX,

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.making import PEER
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import RigError
 from can_rig.frames.endpoints import Transmitter
@@ -26,6 +28,8 @@ from can_rig.results.execution import NO_BUS, Options, execute
 from can_rig.results.signals import read_signals
 from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import draft
+from can_rig.scenario.sensor_settings import MEASURED
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import Verdict
 from tests.rig.replay.recorded import DRIVES, log_of, scenario_of
@@ -35,10 +39,13 @@ VALUES = (
 )  # fmt: skip
 NETWORK = network_of(load("default"))
 SHORT = ["duration_s=0.5", "fault.at_s=0.3"]
+SLOW = ("chassis-can", "chassis-can-coarse", "chassis-cluster")
 NONLINEAR = "plant.kind=can_rig.plant.nonlinear_car:NonlinearCar"
 CASES = [
     *((name, SHORT) for name in shipped() if not name.startswith("chassis")),
-    *((name, ["duration_s=3", "fault.at_s=1.5"]) for name in ("chassis-can", "chassis-can-coarse")),
+    *((name, ["duration_s=3", "fault.at_s=1.5"]) for name in shipped() if name in SLOW),
+    ("chassis-cluster", ["duration_s=2", "controller.kind=tests.rig.nodes.hearing:Hearing"]),
+    ("chassis-cluster", ["duration_s=1", NONLINEAR, "fault.at_s=0.2", "fault.for_s=0.2"]),
     ("default", [*SHORT, "fault.kind=frames-missing", "fault.for_s=0.015"]),
     ("default", [*SHORT, "fault.kind=frames-corrupted", "fault.channel=force-difference"]),
     ("noisy", [*SHORT, "fault.kind=frames-corrupted", "fault.for_s=0.06", "actuator.hold_s=0.005"]),
@@ -83,12 +90,50 @@ def folders(scenario: Scenario, where: Path) -> Iterator[dict[str, Any]]:
 
 
 @pytest.mark.parametrize(
-    ("name", "settings"), CASES, ids=[f"{name} {' '.join(s)}" for name, s in CASES]
+    ("name", "changes"), CASES, ids=[f"{name} {' '.join(s)}" for name, s in CASES]
 )
-def test_the_folder_is_that_of_both_nodes(name: str, settings: list[str], tmp_path: Path) -> None:
-    without, on_a_bus = folders(load(name, settings), tmp_path)
+def test_the_folder_is_that_of_both_nodes(name: str, changes: list[str], tmp_path: Path) -> None:
+    without, on_a_bus = folders(load(name, changes), tmp_path)
     assert without.keys() == on_a_bus.keys()
     assert {key for key in without if without[key] != on_a_bus[key]} == set()
+
+
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    sensors=st.lists(
+        st.fixed_dictionaries({
+            "measures": st.sampled_from(MEASURED),
+            "period_s": st.sampled_from([0.001, 0.003, 0.01]),
+            "delay_s": st.sampled_from([0.0, 0.002, 0.05]),
+            "corner_hz": st.sampled_from([0.0, 30.0]),
+            "noise": st.sampled_from([0.0, 0.1]),
+        }),
+        min_size=1, max_size=5, unique_by=lambda each: str(each["measures"]),
+    ),
+    more=st.sampled_from([
+        {}, {"drive": {"ramps": [[0.0, 10.0], [0.15, 10.5]]}},
+        {"disturbance": [{"kind": "gust", "force_n": 300.0, "at_s": 0.05, "for_s": 0.05}]},
+        {"fault": {"kind": "controller-restarted", "at_s": 0.04, "for_s": 0.02}},
+        {"fault": {"kind": "actuator-late", "at_s": 0.04, "late_ticks": 7}},
+        {"controller": {"kind": "tests.rig.nodes.hearing:Hearing"}},
+    ]),
+)  # fmt: skip
+def test_any_sensors_send_the_frames_of_both_nodes(
+    sensors: list[dict[str, Any]], more: dict[str, Any]
+) -> None:
+    scenario = draft("sensed", {"duration_s": 0.15, "sensor": sensors, **more}).scenario
+    on_a_bus = PEER if "controller" in more else PYTHON
+    with TemporaryDirectory() as where:
+        logs = [Path(where, name) for name in ("a.log", "b.log")]
+        ours = run_without_bus(scenario, logs[0], StopRequest(), lambda tick: None)
+        theirs = run_in_process(
+            scenario, "virtual:sensed", logs[1], StopRequest(), lambda tick: None, on_a_bus
+        )
+        for suffix in (".log", ".plant.csv"):
+            one, other = (log.with_suffix(suffix).read_bytes() for log in logs)
+            assert one == other
+            assert one.count(b"\n") > 150
+    assert ours.rejected_frames == theirs.rejected_frames
 
 
 @pytest.mark.parametrize("name", DRIVES)

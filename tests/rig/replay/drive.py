@@ -11,13 +11,13 @@ from can import Message
 
 from can_rig.assessment.resolve import load
 from can_rig.frames.endpoints import Transmitter
-from can_rig.logs.frames import from_messages
 from can_rig.replaying.gaps import Gap
 from can_rig.replaying.replay import OpenLoop
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 from tests.helpers import NAMES
+from tests.rig.logs.messages import from_messages
 
 TICKS = 400
 SETTINGS = (f"duration_s={TICKS / 1000}", "fault.at_s=0.2")

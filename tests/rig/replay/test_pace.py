@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 
 from can_rig.buses.bus import open_bus
 from can_rig.errors import BusError
-from can_rig.logs.frames import Frames, from_messages
+from can_rig.logs.frames import Frames
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.replaying.pace import Pacer
 from tests.helpers import asked, start
+from tests.rig.logs.messages import from_messages
 
 HOUR_NS = 3600 * 10**9
 

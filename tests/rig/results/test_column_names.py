@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import can_rig
 from can_rig.assessment.resolve import load
-from can_rig.drawing.column_names import column_names
+from can_rig.drawing.names import column_names
 from can_rig.logs.columns import APPLIED, EVIDENCE, ON_THE_BUS, TAKEN, TRUE_OUTPUT
 from can_rig.scenario.plant_settings import SignalSettings
 from can_rig.views.signal_table import read_table

@@ -13,9 +13,7 @@ from can_rig.assessment.resolve import load
 from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.frameless import frameless
 from can_rig.results.counterfactual import signals_without_log
-from can_rig.results.harm import harm_metrics
-from can_rig.results.loss_metrics import torque_lost
-from can_rig.results.metrics import metrics_of
+from can_rig.results.metrics import harm_metrics, metrics_of, torque_lost
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 

@@ -9,7 +9,7 @@ import pytest
 from scipy import signal
 
 from can_rig.assessment.resolve import load
-from can_rig.results import loss_metrics
+from can_rig.results import metrics as module
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.metrics import fault_metrics, metrics
 from can_rig.results.signals import Signals
@@ -117,7 +117,7 @@ def test_a_delay_below_a_tick_is_refused_and_names_the_run(monkeypatch: pytest.M
     scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0003", "seed=7"])
     signals = acting(scenario, (1001, CONFIRMED))
     assert metrics(scenario, signals)["missed_detection"] is True
-    monkeypatch.setattr(loss_metrics, "_shown", loss_metrics._there)
+    monkeypatch.setattr(module, "_shown", module._there)
     named = r"thesis-step, seed 7: the loss at 1.0003 s is said to be found after 0.0007 s"
     with pytest.raises(AssertionError, match=named):
         metrics(scenario, signals)

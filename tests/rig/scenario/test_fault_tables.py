@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load, load_run
-from can_rig.campaigns.plan import has_key
+from can_rig.campaigns.plan import Base
+from can_rig.campaigns.settings import campaign_of
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import as_settings, value_in
+from can_rig.scenario.loading import as_settings, value_in, written
 from can_rig.views.diff import differing_settings
 
 LIST = """
@@ -93,9 +94,10 @@ def test_a_list_of_tables_from_python_is_exact(at_s: float, left: float, late: i
 def test_an_axis_may_be_of_any_fault(several: str) -> None:
     scenario, default = load(several).as_dict(), load("default").as_dict()
     assert value_in(scenario, "fault.0.drift_per_s") == 0.2
-    assert has_key(scenario, "fault.1.left")
-    assert not has_key(scenario, "fault.2.left")
-    assert not has_key(scenario, "fault.left")
+    base = Base(campaign_of("some", {"scenario": several, "runs": 1}), written(several))
+    assert base.has("fault.1.left")
+    assert not base.has("fault.2.left")
+    assert not base.has("fault.left")
     assert value_in(default, "fault.0.at_s") == value_in(default, "fault.at_s") == 10
 
 

@@ -53,9 +53,9 @@ OTHER = {
     "plant.friction": 0.5,
     "design.tau_s": 0.002, "design.alpha": 2, "design.tau_q_s": 0.002, "design.alpha_q": 3,
     "design.feedback": False,
-    "design.estimator": "zoh", "design.share_drift": 0.5,
+    "design.estimator": "zoh",
     "design.precision": "float32", "design.compensation": "off",
-    "design.probe_nm": 1.0, "design.probe_rad_per_s": 30.0, "design.safe_stop_s": 1.0,
+    "design.safe_stop_s": 1.0,
     "budget.box": 0.1, "budget.actuator_box": 0.3, "budget.false_alarms_per_hour": 1.0,
     "budget.suspicions_per_hour": 60.0, "budget.peak_sensitivity": 3.0, "budget.spare_ticks": 1,
     "reference.kind": "sine", "reference.amplitude_mps2": 2.0,
@@ -192,11 +192,9 @@ LIMITS = [
 
 @pytest.mark.parametrize("tick_s", ["1e-5", "0.001"])
 def test_the_largest_values_that_are_allowed_make_a_controller_and_a_plant(tick_s):
-    extremes = [*LIMITS, f"tick_s={tick_s}", "duration_s=0.1"]
-    for probe in ([], ["design.probe_nm=1", "design.probe_rad_per_s=0.01"]):
-        scenario = load("default", [*extremes, *probe])
-        controller_table(scenario, network_of(scenario))
-        SimulatedPlant(scenario).advance(0, 1.0, 1.0)
+    scenario = load("default", [*LIMITS, f"tick_s={tick_s}", "duration_s=0.1"])
+    controller_table(scenario, network_of(scenario))
+    SimulatedPlant(scenario).advance(0, 1.0, 1.0)
 
 
 FILES = {

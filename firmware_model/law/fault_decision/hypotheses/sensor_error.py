@@ -56,11 +56,8 @@ def learn_sensor_error(
         input_now: input of the signature before M: -1 for a bias.
 
     Returns:
-        Whether the earlier error is gone: less than half is left. False where a probe tests the
-        motor: then the verdict has no effect.
+        Whether the earlier error is gone: less than half is left.
     """
-    if table.probe.ticks > 0:
-        return False
     own, size = state.hypotheses.sensor_error, found.candidate.size_now
     half, before = real(0.5, size), own.offset
     for i in range(table.mismatch.n):

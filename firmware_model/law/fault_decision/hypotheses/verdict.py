@@ -12,8 +12,6 @@ sensor verdict.
 A lost torque has a separate test, ``likelihood_ratio``; after confirmation the evidence is the
 learnt share in standard deviations from zero. Likewise another car: the evidence belongs to the
 direction with the clearest difference. Another car explains d̂ without any fault.
-
-A table with a ``share_drift`` has neither test nor verdict.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from pathlib import Path
 import can
 import pytest
 
-from can_rig.buses.local import directory as local_bus_directory
+from can_rig.buses.local import bus as local_bus
 from can_rig.buses.local.bus import LocalBus
 from tests.rig.buses.local.nodes import TIMEOUT_S, buses, frame, node, number, sockets
 
@@ -70,7 +70,7 @@ def test_wrong_names(name: str) -> None:
 
 
 def test_longest_path_that_a_socket_can_have(tmp_path: Path) -> None:
-    room = local_bus_directory.PATH_MAX - len(str(tmp_path)) - 1
+    room = local_bus.PATH_MAX - len(str(tmp_path)) - 1
     with LocalBus(f"{tmp_path}/{'y' * room}") as one, LocalBus(one.channel) as other:
         one.send(frame(1))
         assert number(other.recv(TIMEOUT_S)) == 1
@@ -93,4 +93,4 @@ def test_root_that_others_can_enter_is_refused(root: Path) -> None:
 def test_root_without_a_runtime_directory(monkeypatch: pytest.MonkeyPatch) -> None:
     for unusable in ("", "relative", "/nowhere"):
         monkeypatch.setenv("XDG_RUNTIME_DIR", unusable)
-        assert local_bus_directory.bus_root().name == f"can-rig-{os.getuid()}"
+        assert local_bus.bus_root().name == f"can-rig-{os.getuid()}"

@@ -11,7 +11,6 @@ import can
 import pytest
 
 from can_rig.buses.local import bus as local_bus
-from can_rig.buses.local import directory as local_bus_directory
 from tests.rig.buses.local.nodes import TIMEOUT_S, buses, frame, node, number, sockets, wait_for
 
 
@@ -47,7 +46,7 @@ def test_node_killed_before_anyone_sent_is_cleaned_away(root: Path) -> None:
 
 
 def test_socket_of_a_node_that_is_just_joining_is_not_taken_for_dead(root: Path) -> None:
-    with buses({}) as (sender,), (root / "x" / local_bus_directory.GENERATION).open() as lock:
+    with buses({}) as (sender,), (root / "x" / local_bus.GENERATION).open() as lock:
         path = root / "x" / "1-abcdef.node"
         fcntl.flock(lock, fcntl.LOCK_EX)  # as a node does that joins
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as earlier:
