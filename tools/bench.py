@@ -24,12 +24,10 @@ from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_for_node
 from can_rig.buses.local.bus import LocalBus
 from can_rig.controllers.our_law import PYTHON
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.endpoints import Receiver
+from can_rig.frames.codec import MessageCodec, Receiver
 from can_rig.frames.network import Network
 from can_rig.nodes.bursts import Bursts
-from can_rig.nodes.bus_access import PersistentSender, StopRequest
-from can_rig.nodes.clock import SYSTEM_CLOCK
+from can_rig.nodes.bus_access import SYSTEM_CLOCK, PersistentSender, StopRequest
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.recording import CandumpLines, Recorder
 from can_rig.nodes.runner import RunOptions, run_in_process

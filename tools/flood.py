@@ -26,8 +26,7 @@ from rich.table import Table
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.controllers.our_law import PYTHON
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.clock import OnTick
+from can_rig.nodes.bus_access import OnTick, StopRequest
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.runner import RunOptions, run_in_process
 from can_rig.nodes.ticks import NodeSummary

@@ -28,7 +28,7 @@ from can_rig.assessment.tuning.search import Tunings
 from can_rig.assessment.tuning.search import tune as search
 from can_rig.decoding.decode import decode_log
 from can_rig.errors import RigError, ScenarioError, in_python
-from can_rig.logs.log import window_of
+from can_rig.logs.frames import window_of
 from can_rig.logs.reading import read_log
 from can_rig.replaying.estimator import Replayed, replay_drive, write
 from can_rig.results.source import Source, log_path

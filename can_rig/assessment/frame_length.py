@@ -58,24 +58,19 @@ class FrameBits(NamedTuple):
         """All bits until the next frame can start: with the intermission."""
         return self.total + INTERMISSION_BITS
 
-    def duration_s(
-        self, bitrate: int, data_bitrate: int | None = None, *, intermission: bool = True
-    ) -> Fraction:
-        """How long the frame occupies the bus [s], exactly.
+    def duration_s(self, bitrate: int, data_bitrate: int | None = None) -> Fraction:
+        """How long until the next frame can start [s], exactly.
 
         Args:
             bitrate: nominal bit rate [bit/s].
             data_bitrate: of the data phase [bit/s]; None where no frame switches.
-            intermission: whether the 3 bits after the frame count. Include the intermission for the
-                next frame's earliest start; exclude the intermission for a receiver's arrival time.
 
         Raises:
             FrameError: a bit rate not above 0; a data bit rate missing or below the nominal one.
         """
         if bitrate <= 0:
             raise FrameError(f"bit rate {bitrate} bit/s: must be above 0")
-        after = INTERMISSION_BITS if intermission else 0
-        duration = Fraction(self.nominal + after, bitrate)
+        duration = Fraction(self.nominal + INTERMISSION_BITS, bitrate)
         if self.data:
             if data_bitrate is None or data_bitrate < bitrate:
                 raise FrameError(

@@ -19,8 +19,7 @@ from can_rig.campaigns.settings import read_campaign
 from can_rig.campaigns.statistics import Cross, Summary
 from can_rig.campaigns.workers import Compute, in_processes, serially
 from can_rig.cli.options import json_option, set_option
-from can_rig.cli.output import json_line, say, table, wide
-from can_rig.cli.progress import counting
+from can_rig.cli.output import counting, json_line, say, table, wide
 from can_rig.errors import INTERRUPTED
 from can_rig.nodes.bus_access import StopRequest
 

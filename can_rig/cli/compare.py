@@ -9,8 +9,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from can_rig.cli.options import force_option, json_option, set_option
-from can_rig.cli.output import json_line, say, table, wide
-from can_rig.cli.progress import counting
+from can_rig.cli.output import counting, json_line, say, table, wide
 from can_rig.errors import ScenarioError
 from can_rig.files import atomic, refuse_picture
 from can_rig.scenario.loading import change

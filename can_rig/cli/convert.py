@@ -13,9 +13,8 @@ from can_rig.cli.options import (
     log_argument,
     window_options,
 )
-from can_rig.cli.output import json_line, note, say
-from can_rig.cli.progress import reading
-from can_rig.logs.log import window_of
+from can_rig.cli.output import json_line, note, reading, say
+from can_rig.logs.frames import window_of
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.results.source import log_path, only_channel

@@ -17,11 +17,10 @@ from can_rig.cli.options import (
     log_argument,
     window_options,
 )
-from can_rig.cli.output import json_line, note, say, show, table
-from can_rig.cli.progress import reading
+from can_rig.cli.output import json_line, note, reading, say, show, table
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.files import Form, Selection, decode_to_files, refuse_output
-from can_rig.logs.log import Log, window_of
+from can_rig.logs.frames import Log, window_of
 from can_rig.logs.reading import read_log
 from can_rig.results.run_folder import log_of
 

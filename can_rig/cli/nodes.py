@@ -25,12 +25,10 @@ from can_rig.cli.options import (
     scenario_options,
     silence_option,
 )
-from can_rig.cli.output import json_line, tell
-from can_rig.cli.progress import counting
+from can_rig.cli.output import counting, json_line, tell
 from can_rig.controllers.making import controller_of
 from can_rig.errors import INTERRUPTED, LogError, RigError
-from can_rig.nodes.bus_access import StopRequest, Timeouts
-from can_rig.nodes.clock import OnTick, Throttled
+from can_rig.nodes.bus_access import OnTick, StopRequest, Throttled, Timeouts
 from can_rig.nodes.realtime import timing
 from can_rig.nodes.recording import recorded_log
 from can_rig.nodes.runner import RunOptions, run_controller, run_plant

@@ -18,13 +18,12 @@ from can_rig.cli.options import (
     log_argument,
     window_options,
 )
-from can_rig.cli.output import note, say
-from can_rig.cli.progress import reading
+from can_rig.cli.output import note, reading, say
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.message_decoder import MessageColumns, MessageDecoder, joined
 from can_rig.errors import DbcError, LogError
 from can_rig.files import atomic, refuse_picture
-from can_rig.logs.log import window_of
+from can_rig.logs.frames import window_of
 from can_rig.logs.reading import read_log
 from can_rig.results.source import log_path
 from can_rig.views.pictures import plot_page

@@ -27,13 +27,11 @@ from can_rig.cli.options import (
     set_option,
     window_options,
 )
-from can_rig.cli.output import json_line, note, say, table, tell, wide
-from can_rig.cli.progress import counting, reading
+from can_rig.cli.output import counting, json_line, note, reading, say, table, tell, wide
 from can_rig.cli.run import closing_table
 from can_rig.errors import INTERRUPTED, LogError
 from can_rig.files import atomic, refuse_existing
-from can_rig.logs.frames import NS_PER_S, Frames
-from can_rig.logs.log import ALL, Window, window_of
+from can_rig.logs.frames import ALL, NS_PER_S, Frames, Window, window_of
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.replaying.estimator import refuse_output, replay_drive, write

@@ -21,8 +21,7 @@ from can_rig.cli.options import (
     scenario_options,
     silence_option,
 )
-from can_rig.cli.output import json_line, say, show_pairs
-from can_rig.cli.progress import counting
+from can_rig.cli.output import counting, json_line, say, show_pairs
 from can_rig.controllers.making import controller_of
 from can_rig.errors import INTERRUPTED
 from can_rig.logs.reading import read_log

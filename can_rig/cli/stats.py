@@ -18,12 +18,11 @@ from can_rig.cli.options import (
     log_argument,
     window_options,
 )
-from can_rig.cli.output import json_line, note, say, table, wide
-from can_rig.cli.progress import reading
+from can_rig.cli.output import json_line, note, reading, say, table, wide
 from can_rig.decoding.decode import Decoder
 from can_rig.errors import RigError
 from can_rig.files import atomic, refuse_picture
-from can_rig.logs.log import window_of
+from can_rig.logs.frames import window_of
 from can_rig.logs.reading import read_log
 from can_rig.results.source import log_path, only_channel, source_of
 from can_rig.views.log_statistics import LogStatistics

@@ -26,7 +26,7 @@ from can_rig.export.boards import (
     frame_order,
 )
 from can_rig.export.compiler import loaded, shared_library
-from can_rig.frames.protection import FRAME_BYTES
+from can_rig.frames.codec import FRAME_BYTES
 from can_rig.scenario.settings import Scenario
 
 SENT_BYTES: Final = 2 + FRAME_BYTES

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
 
-from can_rig.frames.codec import NO_DECISION, NO_VERDICT
+from can_rig.frames.codec import NO_DECISION, NO_VERDICT, USABLE, CheckStatus
 from can_rig.frames.network import Network
-from can_rig.frames.protection import USABLE, CheckStatus
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState, Mode
 

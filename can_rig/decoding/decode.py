@@ -38,8 +38,7 @@ from can_rig.decoding.j1939 import (
 from can_rig.decoding.message_decoder import Counts, MessageColumns, MessageDecoder, joined
 from can_rig.errors import DbcError
 from can_rig.frames.databases import load_database
-from can_rig.logs.frames import ERROR, EXTENDED, Frames, concatenate
-from can_rig.logs.log import window_of
+from can_rig.logs.frames import ERROR, EXTENDED, Frames, concatenate, window_of
 from can_rig.logs.reading import read_log
 
 Databases = Database | Sequence[tuple[str | None, Database]]
@@ -203,7 +202,6 @@ def decode_log(
     database: Databases | str | Path,
     messages: Collection[str] | None = None,
     signals: Collection[str] | None = None,
-    channel: str | None = None,
     *,
     from_s: float | None = None,
     to_s: float | None = None,
@@ -215,7 +213,6 @@ def decode_log(
         database: a cantools database, a database file, or several databases as in `Decoder`.
         messages: see `Decoder`.
         signals: see `Decoder`.
-        channel: see `Decoder`.
         from_s: only frames from so many seconds after the start of the recording on.
         to_s: only frames before this time after the start of the recording.
 
@@ -225,7 +222,7 @@ def decode_log(
     """
     if isinstance(database, str | Path):
         database = load_database(database)
-    decoder = Decoder(database, messages, signals, channel)
+    decoder = Decoder(database, messages, signals)
     log = read_log(path, window=window_of(from_s, to_s))
     parts: dict[str, list[MessageColumns]] = {}
     for frames in log:

@@ -17,8 +17,7 @@ from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
 from can_rig.folders import Kind, refuse_folder, whole_folder
-from can_rig.logs.frames import Frames, concatenate
-from can_rig.logs.log import Log
+from can_rig.logs.frames import Frames, Log, concatenate
 
 _WRITERS: Final = {
     ".csv": "tables.WideCsv",

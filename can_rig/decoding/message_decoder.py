@@ -24,10 +24,9 @@ from numpy.typing import NDArray
 
 from can_rig import paged
 from can_rig.errors import DbcError
-from can_rig.frames.codec import ROLES, SPEED
+from can_rig.frames.codec import COUNTERS, FRAME_BYTES, ROLES, SPEED
 from can_rig.frames.databases import attribute
 from can_rig.frames.frame_columns import crcs
-from can_rig.frames.protection import COUNTERS, FRAME_BYTES
 from can_rig.logs.frames import CLASSIC_BYTES, NS_PER_S, REMOTE, Frames, UInt8s
 
 if TYPE_CHECKING:
@@ -501,7 +500,7 @@ def protected_by(message: DbcMessage) -> int | None:
     return data_id if 0 < data_id <= 0xFFFF and message.length == CLASSIC_BYTES else None
 
 
-# The check of AUTOSAR E2E profile 1 for many frames at once: a vectorised `frames.protection`.
+# The check of AUTOSAR E2E profile 1 for many frames at once: a vectorised `codec.Checker`.
 
 
 def intact_rows(data: UInt8s, length: UInt8s, data_id: int) -> Rows:

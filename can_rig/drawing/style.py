@@ -66,9 +66,7 @@ def labelled(name: str, unit: str) -> str:
     return f"{name}\nin {printed(unit)}" if unit else name
 
 
-def legend_above(
-    axis: Axes, side: Literal["left", "right"] = "right", raised: float = 0.0, columns: int = 4
-) -> None:
+def legend_above(axis: Axes, side: Literal["left", "right"] = "right", raised: float = 0.0) -> None:
     """The legend above the panel, clear of curves.
 
     ``raised`` is a share of the panel's height.
@@ -76,7 +74,7 @@ def legend_above(
     axis.legend(
         loc="lower left" if side == "left" else "lower right",
         bbox_to_anchor=(0.0 if side == "left" else 1.0, 1.0 + raised),
-        ncols=columns,
+        ncols=4,
         frameon=False,
         fontsize=9,
         borderpad=0.2,

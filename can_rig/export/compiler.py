@@ -41,17 +41,16 @@ def host_compiler() -> list[str]:
     return command
 
 
-def shared_library(sources: Mapping[str, str], flags: Sequence[str] = FLAGS) -> Path:
+def shared_library(sources: Mapping[str, str]) -> Path:
     """Compile the files to a library for this process.
 
     Args:
         sources: text by file name.
-        flags: compiler options.
 
     Raises:
         ExportError: no compiler, or a compiler error; the message has the error's first line.
     """
-    return built(host_compiler(), flags, sources, ".so")
+    return built(host_compiler(), FLAGS, sources, ".so")
 
 
 def loaded(library: Path) -> ctypes.CDLL:

@@ -28,7 +28,7 @@ from can_rig.export.boards import (
     time_order,
 )
 from can_rig.export.law import parts_of, support
-from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.codec import Transmitter
 from can_rig.frames.network import Network
 from firmware_model.firmware import PYTHON_LAW, Law
 from firmware_model.law.layout import precision_of, state_type, table_type

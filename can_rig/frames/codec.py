@@ -1,8 +1,8 @@
-"""One frame: the conversion between a record and its bytes.
+"""One frame: record ↔ protected bytes, and its two ends on the bus.
 
-A value outside the range of its signal saturates; it never wraps and never raises. NOT_AVAILABLE, a
-raw value outside the range, stands for not-a-number; no receiver uses NOT_AVAILABLE. A float sends
-its own not-a-number.
+**Content.** A value outside the range of its signal saturates; it never wraps and never raises.
+NOT_AVAILABLE, a raw value outside the range, stands for not-a-number; no receiver uses
+NOT_AVAILABLE. A float sends its own not-a-number.
 
 The value counts in steps of the signal's factor. ``layout`` packs the steps into bytes: the rig's
 layout, or any other layout through cantools. The rig's layout is, in Intel byte order, in classic
@@ -17,21 +17,290 @@ frames with 11-bit identifiers:
 
 The frame of a further sensor has `Valid` in byte 1, and 20 bits of value above 12 of `SampleTick`.
 To the codec, `Valid` is a mode, and `SampleTick` a verdict: the bits that go along with a value.
+
+**Protection.** AUTOSAR end-to-end protection, profile 1 (variant 1A), of a frame of any length.
+
+Byte 0 is a CRC-8 (SAE J1850, polynomial 0x1D) over the low byte and the high byte of the data
+identifier and the bytes from 1 on; the low nibble of byte 1 is a counter 0..14. The CRC detects
+damage and a frame of another sender, the counter detects repetition, loss and wrong order. The CRC
+detects every burst of up to 8 bits, except for 5 of the 769 across bytes 0 and 1: the polynomial
+needs the CRC after the data, and the profile sends the CRC first. CAN's CRC-15 detects these
+bursts.
+
+Source: AUTOSAR SWS E2E Library (Doc. 428), "Specification of E2E Profile 1": data identifier mode
+E2E_P01_DATAID_BOTH, E2E_P01Protect and E2E_P01Check. Configuration: SyncCounterInit is 1;
+MaxDeltaCounterInit is 1;
+MaxNoNewOrRepeatedData is 14, which disables its monitor.
+
+**Ends.** `Transmitter` and `Receiver`; `Hearing` receives further sensors, whose frames come with
+periods of their own.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 from struct import Struct
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
+from can import Message
+from e2e.p01 import e2e_p01_check, e2e_p01_protect
 from numpy.typing import NDArray
 
-from can_rig.frames.protection import FRAME_BYTES
+FRAME_BYTES: Final = 8
+"""Length of every frame of the rig's own [byte]."""
+
+COUNTERS: Final = 15
+"""Counters are 0..14; 15 is never sent."""
+
+_LARGEST_DELTA: Final = COUNTERS - 1
+_AFTER: Final = (*range(1, COUNTERS), 0)  # the successor of each counter
+_SYNC_COUNTER_INIT: Final = 1
+
+
+class CheckStatus(IntEnum):
+    """Result of checking one frame: E2E_P01CheckStatusType, extended by the rig."""
+
+    OK = 0
+    """The next frame."""
+    INITIAL = 1
+    """The first intact frame of a run; no earlier counter exists."""
+    OK_SOME_LOST = 2
+    """An intact frame, newer than the last frame, after a tolerated number of losses."""
+    REPEATED = 3
+    """The last frame's counter again."""
+    WRONG_SEQUENCE = 4
+    """Too many frames lost, or an old frame."""
+    SYNC = 5
+    """In sequence again after WRONG_SEQUENCE, but not yet confirmed."""
+    WRONG_CRC = 6
+    """A damaged frame, another sender's frame, or the counter 15, which no sender uses."""
+    WRONG_LENGTH = 7
+    """Another length than the codec's."""
+    NO_NEW_DATA = 8
+    """A missing frame."""
+    WRONG_TICK = 9
+    """Intact, but from another tick; the counter is left unchecked."""
+
+
+USABLE: Final = (CheckStatus.OK, CheckStatus.INITIAL, CheckStatus.OK_SOME_LOST)
+"""The statuses of usable frames; frames of other statuses update nothing."""
+
+# Module constants: a lookup in the enumeration costs as much as the rest of a check.
+_OK, _INITIAL, _OK_SOME_LOST = USABLE
+_REPEATED, _WRONG_SEQUENCE = CheckStatus.REPEATED, CheckStatus.WRONG_SEQUENCE
+_SYNC, _WRONG_CRC, _WRONG_LENGTH = CheckStatus.SYNC, CheckStatus.WRONG_CRC, CheckStatus.WRONG_LENGTH
+_WRONG_TICK = CheckStatus.WRONG_TICK
+
+
+def _require_data_id(data_id: int) -> int:
+    if not 0 <= data_id <= 0xFFFF:
+        raise ValueError(f"data_id is {data_id}; it must be 0..65535")
+    return data_id
+
+
+class Protector:
+    """The sending end of one protected frame (E2E_P01Protect).
+
+    Args:
+        data_id: 16-bit identifier of the frame, known to both ends and never sent itself.
+
+    Raises:
+        ValueError: `data_id` is not 16-bit unsigned.
+    """
+
+    __slots__ = ("_counter", "data_id")
+
+    def __init__(self, data_id: int) -> None:
+        self.data_id: Final = _require_data_id(data_id)
+        self._counter = _LARGEST_DELTA  # sends 0 first, following SWS E2E
+
+    def protect(self, data: bytearray) -> None:
+        """Write the next counter and the CRC into `data`, in place."""
+        # The library increments the counter in the frame; 0 follows 14.
+        data[1] = (data[1] & 0xF0) | self._counter
+        e2e_p01_protect(data, self.data_id)
+        self._counter = data[1] & 0x0F
+
+
+class Checker:
+    """The receiving end of one protected frame (E2E_P01Check).
+
+    Call `check` for every arrived frame, and `no_new_data` for every missing frame. Each call
+    without a usable frame widens the tolerated counter step by one, because the sender continues
+    counting; a usable frame resets the step to 1. After a larger step the
+    received counter is adopted, and one more frame in sequence (SYNC) is needed before the content
+    is used again.
+
+    Args:
+        data_id: identifier of the frame, as at the sender.
+        length: of its frames [byte].
+
+    Raises:
+        ValueError: an argument out of range.
+    """
+
+    __slots__ = ("_counts", "_last", "_length", "_next", "_sync", "_window", "data_id")
+
+    def __init__(self, data_id: int, length: int = FRAME_BYTES) -> None:
+        self.data_id: Final = _require_data_id(data_id)
+        self._length = length
+        self._last: int | None = None  # counter of the last accepted frame
+        self._next: int | None = None  # the counter of an OK frame; None where that is not enough
+        self._window = 1  # largest tolerated step at the last call
+        self._sync = 0  # frames in sequence still needed before use
+        self._counts = [0] * len(CheckStatus)
+
+    @property
+    def expected(self) -> int | None:
+        """The counter of a next frame that is OK; None where another status is next."""
+        return self._next
+
+    def go_on(self, frames: int) -> None:
+        """Count frames that were found OK elsewhere, one in each of as many calls."""
+        if frames and self._next is not None:
+            self._last = (self._next + frames - 1) % COUNTERS
+            self._next = _AFTER[self._last]
+            self._window = 1
+            self._counts[_OK] += frames
+
+    @property
+    def counts(self) -> dict[CheckStatus, int]:
+        """Number of frames with each status since the start."""
+        return dict(zip(CheckStatus, self._counts, strict=True))
+
+    def check(self, data: bytearray) -> CheckStatus:
+        """Judge one received frame; never raises, whatever its content or length."""
+        intact = len(data) == self._length and e2e_p01_check(data, self.data_id)
+        if intact and data[1] & 0x0F == self._next:  # the usual case, made quick
+            self._last, self._next = self._next, _AFTER[self._next]
+            self._window = 1
+            self._counts[_OK] += 1
+            return _OK
+        self._window += 1  # SWS E2E limits the window to 14, which tolerates every step
+        status = self._judge(data[1] & 0x0F) if intact else self._damage(data)
+        self._counts[status] += 1
+        return status
+
+    def reject(self, data: bytearray) -> None:
+        """Count a frame of another tick, without further effect.
+
+        A forged frame therefore needs the current tick to disturb the counter.
+        """
+        intact = len(data) == self._length and e2e_p01_check(data, self.data_id)
+        self._counts[_WRONG_TICK if intact else self._damage(data)] += 1
+
+    def _damage(self, data: bytearray) -> CheckStatus:
+        """The status of a damaged frame."""
+        return _WRONG_LENGTH if len(data) != self._length else _WRONG_CRC
+
+    def no_new_data(self) -> CheckStatus:
+        """Record a missing frame."""
+        self._window += 1
+        self._counts[CheckStatus.NO_NEW_DATA] += 1
+        return CheckStatus.NO_NEW_DATA
+
+    def _judge(self, received: int) -> CheckStatus:
+        """Compare the counter of an intact frame, not OK, with the last frame's counter."""
+        if self._last is None:
+            return self._accept(received, _INITIAL)
+        delta = (received - self._last) % COUNTERS
+        if delta == 0:
+            return _REPEATED
+        if delta > self._window:
+            self._sync = _SYNC_COUNTER_INIT
+            return self._accept(received, _WRONG_SEQUENCE)
+        if self._sync:
+            self._sync -= 1
+            return self._accept(received, _SYNC)
+        return self._accept(received, _OK_SOME_LOST)
+
+    def _accept(self, received: int, status: CheckStatus) -> CheckStatus:
+        """Adopt this counter, with the initial tolerance."""
+        self._last = received
+        self._next = None if self._sync else _AFTER[received]
+        self._window = 1
+        return status
+
+
+class Unprotected(Checker):
+    """The receiving end of a frame without protection: only the length decides."""
+
+    __slots__ = ()
+
+    def __init__(self, length: int) -> None:
+        super().__init__(0, length=length)
+
+    def check(self, data: bytearray) -> CheckStatus:
+        """As that of `Checker`."""
+        status = _OK if len(data) == self._length else _WRONG_LENGTH
+        self._counts[status] += 1
+        return status
+
+    def reject(self, data: bytearray) -> None:
+        """As that of `Checker`."""
+        self._counts[_WRONG_TICK if len(data) == self._length else _WRONG_LENGTH] += 1
+
+
+AGE: Final = "_age_ticks"
+"""Ending of the name of a sample's age."""
+
+NOTHING: Final[Mapping[str, float]] = {}
+
+
+class Hearing:
+    """Receives the frames of the further sensors, tick by tick.
+
+    Args:
+        codecs: their frames.
+        timings: period, phase and delay of each, ticks.
+        names: of each, for what is heard.
+    """
+
+    def __init__(
+        self,
+        codecs: Sequence[MessageCodec],
+        timings: Sequence[tuple[int, int, int]],
+        names: Sequence[str],
+    ) -> None:
+        self.receivers: Final = tuple(Receiver(codec) for codec in codecs)
+        self._timings, self._names = timings, names
+        self._by_id = {codec.frame_id: at for at, codec in enumerate(codecs)}
+        self._now = nothing_heard(names)
+
+    def concerns(self, message: Message) -> bool:
+        """Whether ``message`` has the identifier of a further sensor."""
+        return message.arbitration_id in self._by_id
+
+    def take(self, message: Message, tick: int | None) -> None:
+        """Take in a frame of ``tick``; None: of any. A frame marked invalid has no value."""
+        at = self._by_id[message.arbitration_id]
+        record = self.receivers[at].accept(message, tick)
+        if record is None:
+            return
+        name = self._names[at]
+        self._now[name] = record.value if record.mode else math.nan
+        self._now[name + AGE] = (record.tick - record.verdict) % (1 << SAMPLE_BITS)
+
+    def end_tick(self, tick: int) -> Mapping[str, float]:
+        """What ``tick`` has brought: value and age of the sample, not a number where none came."""
+        if not self.receivers:
+            return NOTHING
+        for receiver, (period, phase, _) in zip(self.receivers, self._timings, strict=True):
+            if tick >= phase and (tick - phase) % period == 0:
+                receiver.end_tick()
+        found, self._now = self._now, nothing_heard(self._names)
+        return found
+
+
+def nothing_heard(names: Sequence[str]) -> dict[str, float]:
+    """Value and age of the samples of sensors that sent nothing."""
+    return {name + end: math.nan for name in names for end in ("", AGE)}
+
 
 WIRE_TICKS: Final = 1 << 16
 _HALF: Final = WIRE_TICKS // 2
@@ -267,3 +536,88 @@ class MessageCodec:
         """
         raw, tick, mode, fault_state, verdict = self.layout.unpack(data)
         return Record(self.from_raw(raw), tick, mode, fault_state, verdict)
+
+
+class Transmitter:
+    """The sending end of one frame: codec, then protection."""
+
+    def __init__(self, codec: MessageCodec) -> None:
+        self.codec: Final = codec
+        self._protector = None if codec.data_id is None else Protector(codec.data_id)
+
+    def frame(
+        self,
+        value: float,
+        tick: int,
+        mode: int = 0,
+        fault_state: int = 0,
+        verdict: int = 0,
+    ) -> Message:
+        """The next frame, ready to send; for the arguments see `MessageCodec.encode`."""
+        codec = self.codec
+        data = codec.encode(value, tick, mode, fault_state, verdict)
+        if self._protector is not None:
+            self._protector.protect(data)
+        return Message(
+            0.0, codec.frame_id, codec.extended, False, False, None, len(data), data, codec.fd
+        )
+
+
+class Receiver:
+    """The receiving end of one frame: protection, then codec.
+
+    Args:
+        codec: the frame.
+    """
+
+    def __init__(self, codec: MessageCodec) -> None:
+        self.codec: Final = codec
+        length = codec.layout.length
+        self.checker: Final[Checker] = (
+            Unprotected(length) if codec.data_id is None else Checker(codec.data_id, length)
+        )
+        self._length = length
+        self._has_tick = codec.layout.has_tick
+        self._judged = False  # whether the checker judged a frame of this tick
+
+    def accept(self, message: Message, tick: int | None = None) -> Record | None:
+        """The content of a usable frame; None for a rejected frame, counted by reason.
+
+        A frame without a tick belongs to ``tick``, or to tick 0 if ``tick`` is None.
+
+        Call `end_tick` at the end of each tick. NOT_AVAILABLE gives a value of nan.
+
+        Args:
+            message: a received frame with the codec's identifier.
+            tick: the current tick; a frame of another tick, modulo 65536, is rejected. None: accept
+                any tick.
+        """
+        data = message.data
+        if (
+            message.is_extended_id != self.codec.extended
+            or message.is_fd != self.codec.fd
+            or message.is_remote_frame
+            or message.is_error_frame
+        ):
+            return None  # another kind of frame with an equal identifier
+        if len(data) == self._length:
+            record = self.codec.decode(data)
+            if not self._has_tick:
+                record = record._replace(tick=(tick or 0) & 0xFFFF)
+            if tick is None or record.tick == tick & 0xFFFF:
+                self._judged = True
+                return record if self.checker.check(data) in USABLE else None
+        self.checker.reject(data)
+        return None
+
+    def end_tick(self) -> None:
+        """Tell the checker about a tick without a judged frame."""
+        if not self._judged:
+            self.checker.no_new_data()
+        self._judged = False
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """Number of rejected frames by `CheckStatus` in lower case, without zeros."""
+        counts = self.checker.counts
+        return {s.name.lower(): n for s, n in counts.items() if n and s not in USABLE}

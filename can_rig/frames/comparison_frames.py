@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 from can import Message
 
 from can_rig.errors import DbcError
+from can_rig.frames.codec import FRAME_BYTES, Checker, CheckStatus, Protector
 from can_rig.frames.databases import attribute, load_dbc, shipped_dbc
-from can_rig.frames.protection import FRAME_BYTES, Checker, CheckStatus, Protector
 
 DBC: Final = "agreement.dbc"
 SENDERS: Final = {"plant": "PLANT", "controller": "CONTROLLER"}

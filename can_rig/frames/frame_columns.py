@@ -1,4 +1,4 @@
-"""A DBC frame for every tick of a run at once: the arrays of `codec` and `protection`.
+"""A DBC frame for every tick of a run at once: the arrays of `codec`.
 
 A CRC is linear in the covered bits: the exclusive or of a table value per byte of the frame, and of
 a constant for the data identifier. The E2E library computes the tables, so that only the library
@@ -15,8 +15,7 @@ import numpy as np
 from e2e.p01 import e2e_p01_protect
 from numpy.typing import NDArray
 
-from can_rig.frames.codec import MessageCodec, RigLayout
-from can_rig.frames.protection import COUNTERS, FRAME_BYTES
+from can_rig.frames.codec import COUNTERS, FRAME_BYTES, MessageCodec, RigLayout
 from firmware_model.compiled import compiled
 from firmware_model.law.structs import FloatArray
 

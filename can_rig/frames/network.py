@@ -16,6 +16,7 @@ from cantools.database.can import Message, Signal
 
 from can_rig.errors import DbcError
 from can_rig.frames.codec import (
+    FRAME_BYTES,
     NO_DECISION,
     NO_VERDICT,
     ROLES,
@@ -24,10 +25,10 @@ from can_rig.frames.codec import (
     VALID_SHIFT,
     VERDICT_BITS,
     MessageCodec,
+    Protector,
     RigLayout,
 )
 from can_rig.frames.databases import attribute, load_dbc
-from can_rig.frames.protection import FRAME_BYTES, Protector
 from firmware_model.law.status import Verdict
 
 EXTENDED_FLAG = 1 << 31

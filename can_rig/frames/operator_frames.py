@@ -11,8 +11,8 @@ from cantools.database.can import Message as DbcMessage
 from e2e.p01 import e2e_p01_check, e2e_p01_protect
 
 from can_rig.errors import DbcError
+from can_rig.frames.codec import COUNTERS, FRAME_BYTES
 from can_rig.frames.databases import attribute, load_dbc, shipped_dbc
-from can_rig.frames.protection import COUNTERS, FRAME_BYTES
 
 DBC: Final = "control.dbc"
 SEQUENCES: Final = 255

@@ -31,7 +31,7 @@ from can_rig.logs.formats.peak import MICROCHIP, PEAK
 from can_rig.logs.formats.savvycan import SAVVYCAN
 from can_rig.logs.formats.vector_ascii import VECTOR_ASCII
 from can_rig.logs.formats.vector_binary import VECTOR_BINARY
-from can_rig.logs.log import ALL, Format, Log, Window
+from can_rig.logs.frames import ALL, Format, Log, Window
 
 FORMATS: Final = (
     CANDUMP,

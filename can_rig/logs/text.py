@@ -27,11 +27,11 @@ from can_rig.logs.frames import (
     REMOTE,
     Columns,
     Frames,
+    Log,
     UInt8s,
     empty_columns,
     numbered,
 )
-from can_rig.logs.log import Log
 from firmware_model.compiled import compiled
 
 Found = tuple[int, int, int, int, int, int, int]

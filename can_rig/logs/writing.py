@@ -20,8 +20,17 @@ from can.util import channel2int
 
 from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
-from can_rig.logs.frames import CLASSIC_BYTES, ERROR, FD, NS_PER_S, REMOTE, SENT, Frames
-from can_rig.logs.log import Format, Log
+from can_rig.logs.frames import (
+    CLASSIC_BYTES,
+    ERROR,
+    FD,
+    NS_PER_S,
+    REMOTE,
+    SENT,
+    Format,
+    Frames,
+    Log,
+)
 from can_rig.logs.reading import WRITTEN, format_of
 
 _US: Final = 1_000

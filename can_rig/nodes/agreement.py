@@ -39,8 +39,7 @@ from can_rig.frames.comparison_frames import (
     digest,
 )
 from can_rig.frames.network import EXTENDED_FLAG
-from can_rig.nodes.bus_access import NodeBus, PersistentSender
-from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
+from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Clock, NodeBus, PersistentSender
 from can_rig.scenario.build import network_of
 from can_rig.scenario.plant_settings import FMU
 from can_rig.scenario.settings import LISTS, Scenario

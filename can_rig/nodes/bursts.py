@@ -16,8 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from can_rig.buses.local.bus import BURST_MOST, MAX_BYTES, PLAIN_BYTES, LocalBus
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.endpoints import Receiver
+from can_rig.frames.codec import COUNTERS, FRAME_BYTES, MessageCodec, Receiver
 from can_rig.frames.frame_columns import (
     CRC,
     IDENTIFIER,
@@ -26,7 +25,6 @@ from can_rig.frames.frame_columns import (
     crc_of,
     frame_word,
 )
-from can_rig.frames.protection import COUNTERS, FRAME_BYTES
 from can_rig.nodes.bus_access import POLL_S, PersistentSender
 from can_rig.nodes.recording import LINE_BYTES, CandumpLines, write_line
 from firmware_model.compiled import compiled

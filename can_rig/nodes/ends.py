@@ -17,8 +17,7 @@ import numpy as np
 
 from can_rig.buses.local.bus import LocalBus
 from can_rig.controllers.protocol import Answer, Status, said
-from can_rig.frames.codec import MessageCodec, Record, ticks_ahead
-from can_rig.frames.endpoints import Hearing, Receiver, Transmitter
+from can_rig.frames.codec import Hearing, MessageCodec, Receiver, Record, Transmitter, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.nodes.bursts import Bursts
 from can_rig.nodes.bus_access import PersistentSender, Send

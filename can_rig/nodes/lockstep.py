@@ -30,11 +30,9 @@ from can_rig.controllers.protocol import (
     rejected,
 )
 from can_rig.errors import ExportError, ScenarioError
-from can_rig.frames.codec import WIRE_TICKS, Record, tick_from, ticks_ahead
-from can_rig.frames.endpoints import Receiver
+from can_rig.frames.codec import WIRE_TICKS, Receiver, Record, tick_from, ticks_ahead
 from can_rig.frames.network import Network
-from can_rig.nodes.bus_access import NodeBus, Send, Watchdog
-from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
+from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Clock, NodeBus, Send, Watchdog
 from can_rig.nodes.ends import (
     COMMANDS,
     ControllerEnd,

@@ -25,8 +25,7 @@ from typing import Any, Final
 from can_rig.errors import RigError, SilentNodeError, one_line
 from can_rig.nodes.agreement import is_shared
 from can_rig.nodes.bursts import warm_up
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.clock import OnTick, Progress, Throttled, no_progress
+from can_rig.nodes.bus_access import OnTick, Progress, StopRequest, Throttled, no_progress
 from can_rig.nodes.runner import (
     NodeName,
     RunOptions,

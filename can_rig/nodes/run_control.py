@@ -8,8 +8,7 @@ from typing import Final
 import can
 
 from can_rig.frames import operator_frames
-from can_rig.nodes.bus_access import Send, Watchdog
-from can_rig.nodes.clock import NS_PER_S, Clock
+from can_rig.nodes.bus_access import NS_PER_S, Clock, Send, Watchdog
 from can_rig.nodes.ends import PlantEnd
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.plant.faults.frame_faults import FrameFaults

@@ -18,7 +18,9 @@ from can_rig.frames.comparison_frames import SENDERS, ComparisonFrame
 from can_rig.nodes.agreement import Agreement, is_shared
 from can_rig.nodes.bus_access import (
     DEFAULT_TIMEOUTS,
+    SYSTEM_CLOCK,
     NodeBus,
+    OnTick,
     PersistentSender,
     Send,
     StopRequest,
@@ -27,7 +29,6 @@ from can_rig.nodes.bus_access import (
     Watchdog,
     bus_events,
 )
-from can_rig.nodes.clock import SYSTEM_CLOCK, OnTick
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.lockstep import (
     ControllerNode,

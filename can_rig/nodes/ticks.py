@@ -13,8 +13,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from can_rig.nodes.bus_access import Interrupted
-from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock, OnTick, Pace
+from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Clock, Interrupted, OnTick, Pace
 from firmware_model.law.structs import FloatArray
 
 Carry = Callable[[int], int]

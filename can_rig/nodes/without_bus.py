@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from can_rig import paged
 from can_rig.frames.frame_columns import UInt8s, payloads
 from can_rig.frames.network import Network
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.clock import OnTick
+from can_rig.nodes.bus_access import OnTick, StopRequest
 from can_rig.nodes.recording import LogFile, PlantRecorder, candump_bytes
 from can_rig.nodes.ticks import NodeSummary, RunColumns, timed
 from can_rig.plant.behind import LinearBehind, PlantBehind

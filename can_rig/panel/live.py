@@ -18,7 +18,7 @@ from can_rig.drawing.names import names_of
 from can_rig.drawing.thinning import BUCKET_S, Decimator
 from can_rig.errors import one_line
 from can_rig.frames import operator_frames
-from can_rig.frames.endpoints import Receiver
+from can_rig.frames.codec import Receiver
 from can_rig.frames.network import Network
 from can_rig.logs.columns import EVIDENCE
 from can_rig.plant.faults.injection import injected

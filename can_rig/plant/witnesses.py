@@ -13,8 +13,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.endpoints import AGE, nothing_heard
+from can_rig.frames.codec import AGE, MessageCodec, nothing_heard
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import NoiseColumns
 from can_rig.scenario.sensor_settings import ECHOES, MEASURED, SAMPLE_TICKS

@@ -22,9 +22,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TextIO
 
-from can_rig.frames.codec import ROLES
+from can_rig.frames.codec import COUNTERS, ROLES
 from can_rig.frames.network import Network
-from can_rig.frames.protection import COUNTERS
 from can_rig.logs.frames import NS_PER_S
 from can_rig.replaying.rig_frames import SPEED_ROLE, RigFrame, is_input
 

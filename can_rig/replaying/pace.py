@@ -17,8 +17,7 @@ import can
 
 from can_rig.errors import BusError
 from can_rig.logs.frames import ERROR, FD, NS_PER_S, Frames
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.clock import SYSTEM_CLOCK, Clock
+from can_rig.nodes.bus_access import SYSTEM_CLOCK, Clock, StopRequest
 
 SLICE_NS: Final = NS_PER_S // 20
 """Longest delay before a stop request takes effect."""

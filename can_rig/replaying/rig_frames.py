@@ -10,9 +10,20 @@ import numpy as np
 
 from can_rig.controllers.protocol import NodeController
 from can_rig.decoding.message_decoder import counters, intact_rows
-from can_rig.frames.codec import ROLES, WIRE_TICKS, MessageCodec, tick_at, ticks_ahead, ticks_on
+from can_rig.frames.codec import (
+    COUNTERS,
+    FRAME_BYTES,
+    ROLES,
+    WIRE_TICKS,
+    Checker,
+    CheckStatus,
+    MessageCodec,
+    Unprotected,
+    tick_at,
+    ticks_ahead,
+    ticks_on,
+)
 from can_rig.frames.network import Network
-from can_rig.frames.protection import COUNTERS, FRAME_BYTES, Checker, CheckStatus, Unprotected
 from can_rig.logs.frames import ERROR, EXTENDED, FD, NS_PER_S, REMOTE, Frames
 from can_rig.plant.actuators import Actuator
 from can_rig.scenario.settings import Scenario
@@ -33,7 +44,7 @@ class RigFrame(NamedTuple):
     """One frame of the network in a log."""
 
     role: int
-    """An index of `frames.layout.ROLES`, or ``SPEED_ROLE``."""
+    """An index of `codec.ROLES`, or ``SPEED_ROLE``."""
     time_ns: int
     """Time stamp; see `Frames.time_ns`."""
     data: bytes

@@ -11,10 +11,8 @@ import numpy as np
 
 from can_rig.errors import LogError, ScenarioError
 from can_rig.files import atomic
-from can_rig.logs.frames import Frames
-from can_rig.logs.log import ALL, Window
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.clock import Progress, no_progress
+from can_rig.logs.frames import ALL, Frames, Window
+from can_rig.nodes.bus_access import Progress, StopRequest, no_progress
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.operating import Touch, Touches
 from can_rig.results.execution import Execution, Options, execute, refuse

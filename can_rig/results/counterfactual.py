@@ -58,7 +58,7 @@ def noise_free(scenario: Scenario, signals: Signals, rows: int) -> Counterfactua
 def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
     """The same run with faults and without compensation; nan for a controller of one's own."""
     if not scenario.controller.is_ours:
-        return Counterfactual(*np.full((3, len(signals)), np.nan))
+        return Counterfactual(*np.full((len(Counterfactual._fields), len(signals)), np.nan))
     off = replace(scenario.design, compensation="off")
     return _instead(replace(scenario, design=off), signals, len(signals))
 

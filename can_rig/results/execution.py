@@ -20,8 +20,7 @@ from can_rig.files import atomic
 from can_rig.folders import NewFolder, default_folder
 from can_rig.frames.network import Network
 from can_rig.nodes.agreement import is_shared, own_bus, require_alone
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.clock import Progress, Throttled, no_progress
+from can_rig.nodes.bus_access import Progress, StopRequest, Throttled, no_progress
 from can_rig.nodes.interaction import UNTOUCHED
 from can_rig.nodes.lockstep import require_ticks
 from can_rig.nodes.processes import run_processes

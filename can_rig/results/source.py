@@ -13,8 +13,7 @@ from can_rig.assessment.resolve import load, load_run
 from can_rig.errors import LogError, ScenarioError
 from can_rig.files import atomic
 from can_rig.frames.network import Network
-from can_rig.logs.frames import Frames
-from can_rig.logs.log import ALL, Log, Window
+from can_rig.logs.frames import ALL, Frames, Log, Window
 from can_rig.logs.reading import read_log
 from can_rig.nodes.operating import done, touches
 from can_rig.results.run_folder import LOG, log_of, recorded_scenario

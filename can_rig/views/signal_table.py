@@ -19,8 +19,7 @@ from can_rig.drawing.names import CAR, Names, column_names, names_of
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.columns import APPLIED, EVIDENCE_OF, ON_THE_BUS, TRUE_OUTPUT, VERDICT
 from can_rig.logs.compression import open_text, stored
-from can_rig.logs.frames import NS_PER_S
-from can_rig.logs.log import Window
+from can_rig.logs.frames import NS_PER_S, Window
 from can_rig.logs.reading import content_format, read_log
 from can_rig.results.run_folder import SIGNALS, recorded_scenario
 from can_rig.results.signals import Signals, cell, signals_of, with_plant_signals

@@ -64,7 +64,6 @@ from firmware_model.design.zpk import ZeroPoleGain, in_words
 from firmware_model.errors import (
     AxisZeroError,
     ImproperError,
-    ParameterError,
     UnstableFilterError,
     UnstablePlantError,
     ZeroChannelError,
@@ -78,9 +77,7 @@ is a resonator for thousands of seconds, and a double zero on the axis, which ro
 √eps ≈ 1.5e-8, still counts as on it."""
 
 
-def inner_outer(
-    g: ZeroPoleGain, axis_tolerance: float = AXIS_TOLERANCE, name: str = "G"
-) -> tuple[ZeroPoleGain, ZeroPoleGain]:
+def inner_outer(g: ZeroPoleGain, name: str = "G") -> tuple[ZeroPoleGain, ZeroPoleGain]:
     """``(inner, outer)``: inner all-pass with inner(0) = 1, outer stable and minimum phase.
 
     Without zeros in the right half plane the inner factor is the constant 1 and ``outer`` is ``g``.
@@ -89,7 +86,7 @@ def inner_outer(
     Raises ``ZeroChannelError`` for g = 0, ``UnstablePlantError`` for a pole that is not in the left
     half plane, ``AxisZeroError`` for a zero on or near the imaginary axis, s = 0 included.
     """
-    refuse_axis_zeros(g, name, axis_tolerance)
+    refuse_axis_zeros(g, name)
     for pole in g.poles:
         if pole.real >= 0:
             raise UnstablePlantError(
@@ -104,20 +101,18 @@ def inner_outer(
     return inner, outer
 
 
-def refuse_axis_zeros(g: ZeroPoleGain, name: str, axis_tolerance: float = AXIS_TOLERANCE) -> None:
+def refuse_axis_zeros(g: ZeroPoleGain, name: str) -> None:
     """Raise unless ``g`` is not zero and clear of zeros on the imaginary axis.
 
     ``name`` is what messages call it; the errors are those of ``inner_outer``.
     """
-    if not 0 <= axis_tolerance < 1:
-        raise ParameterError(f"axis_tolerance = {axis_tolerance}: must lie in 0..1, below 1")
     if g.gain == 0:
         raise ZeroChannelError(f"{name}(s) is identically zero, must not be")
     for zero in g.zeros:
-        if abs(zero.real) <= axis_tolerance * abs(zero):
+        if abs(zero.real) <= AXIS_TOLERANCE * abs(zero):
             raise AxisZeroError(
                 f"{name} has a zero at {zero:.6g} rad/s, on the imaginary axis within a damping"
-                f" ratio of {axis_tolerance:g}: must be clear of it"
+                f" ratio of {AXIS_TOLERANCE:g}: must be clear of it"
             )
 
 

@@ -132,8 +132,8 @@ BROKEN = {
     "to a bus": ("firmware_model/firmware.py", "import can", "knows no rig"),
     "to a clock": ("firmware_model/firmware.py", "import time", "knows no rig"),
     "circle": (
-        "can_rig/frames/protection.py",
-        "from can_rig.frames import endpoints",
+        "can_rig/frames/codec.py",
+        "from can_rig.frames import network",
         "in a circle BROKEN",
     ),
     "a room that no contract names": (

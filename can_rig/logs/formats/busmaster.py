@@ -29,9 +29,10 @@ from can_rig.logs.frames import (
     NS_PER_S,
     REMOTE,
     SENT,
+    Format,
+    Log,
     UInt8s,
 )
-from can_rig.logs.log import Format, Log
 from can_rig.logs.text import (
     BAD,
     DECIMAL,

@@ -33,10 +33,10 @@ from can_rig.logs.frames import (
     MAX_BUSES,
     REMOTE,
     SENT,
+    Format,
     Frames,
     UInt8s,
 )
-from can_rig.logs.log import Format
 from can_rig.logs.text import (
     BAD,
     DIGIT,

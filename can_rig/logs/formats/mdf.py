@@ -35,12 +35,13 @@ from can_rig.logs.frames import (
     NS_PER_S,
     REMOTE,
     SENT,
+    Format,
     Frames,
+    Log,
     UInt8s,
     concatenate,
     numbered,
 )
-from can_rig.logs.log import Format, Log
 from firmware_model.compiled import compiled
 
 FINISHED: Final = b"MDF     4"

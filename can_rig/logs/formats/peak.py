@@ -53,10 +53,10 @@ from can_rig.logs.frames import (
     NS_PER_S,
     REMOTE,
     SENT,
+    Format,
     Frames,
     UInt8s,
 )
-from can_rig.logs.log import Format
 from can_rig.logs.text import (
     BAD,
     BAD_LINE,

@@ -31,10 +31,10 @@ from can_rig.logs.frames import (
     FD_BYTES,
     REMOTE,
     SENT,
+    Format,
     Frames,
     UInt8s,
 )
-from can_rig.logs.log import Format
 from can_rig.logs.text import (
     BAD,
     DECIMAL,

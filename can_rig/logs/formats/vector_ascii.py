@@ -38,10 +38,11 @@ from can_rig.logs.frames import (
     NS_PER_S,
     REMOTE,
     SENT,
+    Format,
     Frames,
+    Log,
     UInt8s,
 )
-from can_rig.logs.log import Format, Log
 from can_rig.logs.text import (
     BAD,
     BAD_LINE,

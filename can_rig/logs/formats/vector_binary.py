@@ -34,12 +34,13 @@ from can_rig.logs.frames import (
     REMOTE,
     SENT,
     Columns,
+    Format,
     Frames,
+    Log,
     UInt8s,
     empty_columns,
     numbered,
 )
-from can_rig.logs.log import Format, Log
 from can_rig.logs.text import BYTES_OF_DLC
 from firmware_model.compiled import compiled
 

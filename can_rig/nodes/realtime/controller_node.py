@@ -25,8 +25,7 @@ from can_rig.controllers.protocol import LISTEN_S, Answer, InNode, Inputs, TakeO
 from can_rig.errors import BusError, ScenarioError, SilentNodeError
 from can_rig.frames.codec import Record, tick_from, ticks_ahead
 from can_rig.frames.network import Network
-from can_rig.nodes.bus_access import Interrupted, NodeBus, Watchdog
-from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
+from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Clock, Interrupted, NodeBus, Watchdog
 from can_rig.nodes.ends import ControllerEnd
 from can_rig.nodes.realtime.timing import require_causal
 from can_rig.plant.actuators import Actuator

@@ -27,8 +27,7 @@ import can
 
 from can_rig.errors import SilentNodeError
 from can_rig.frames.network import Network
-from can_rig.nodes.bus_access import Interrupted, NodeBus, Watchdog
-from can_rig.nodes.clock import NS_PER_S, Clock
+from can_rig.nodes.bus_access import NS_PER_S, Clock, Interrupted, NodeBus, Watchdog
 from can_rig.nodes.ends import COMMANDS, PlantEnd
 from can_rig.nodes.realtime.timing import CATCH_UP_TICKS, Schedule, Timing, require_causal
 from can_rig.nodes.recording import PlantRecorder, RealTimeRecorder

@@ -19,10 +19,8 @@ import numpy as np
 from can import Message
 from numpy.typing import NDArray
 
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.codec import COUNTERS, MessageCodec, Receiver, Transmitter
 from can_rig.frames.network import Network
-from can_rig.frames.protection import COUNTERS
 from can_rig.scenario.fault_settings import PLACES, FaultSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import BoolArray

@@ -10,7 +10,6 @@ from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import (
     AxisZeroError,
-    ParameterError,
     UnstablePlantError,
     ZeroChannelError,
 )
@@ -83,20 +82,10 @@ def test_a_double_axis_zero_split_by_rounding_is_refused() -> None:
         inner_outer(split)
 
 
-def test_the_tolerance_is_the_caller_s() -> None:
-    lightly_damped = ZeroPoleGain((0.01 + 1j, 0.01 - 1j), (-1, -2), 1.0)
-    assert inner_outer(lightly_damped)[0].order == 2
-    with pytest.raises(AxisZeroError, match=r"within a damping ratio of 0\.05"):
-        inner_outer(lightly_damped, axis_tolerance=0.05)
-    assert inner_outer(ZeroPoleGain((1e-9 + 1j, 1e-9 - 1j), (-1, -2), 1.0), 0.0)[0].order == 2
-    with pytest.raises(AxisZeroError):
-        inner_outer(ZeroPoleGain((1j, -1j), (-1, -2), 1.0), 0.0)
-
-
-@pytest.mark.parametrize("tolerance", [-1e-9, 1.0, float("nan")])
-def test_tolerance_refused(tolerance: float) -> None:
-    with pytest.raises(ParameterError, match="axis_tolerance = "):
-        inner_outer(ZeroPoleGain.lag(1.0, 1), tolerance)
+def test_a_lightly_damped_zero_is_clear_of_the_axis() -> None:
+    assert inner_outer(ZeroPoleGain((2e-6 + 1j, 2e-6 - 1j), (-1, -2), 1.0))[0].order == 2
+    with pytest.raises(AxisZeroError, match=r"within a damping ratio of 1e-06"):
+        inner_outer(ZeroPoleGain((5e-7 + 1j, 5e-7 - 1j), (-1, -2), 1.0))
 
 
 def test_zero_and_unstable_channels_are_refused() -> None:

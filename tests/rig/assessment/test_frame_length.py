@@ -151,12 +151,10 @@ def test_the_header_alone_reaches_its_bound_of_stuff_bits_in_the_arbitration_pha
     assert flexible(switched).nominal == worst_case_bits(0, fd=True, brs=True).nominal
 
 
-def test_durations_count_each_bit_at_its_rate_and_the_intermission_if_asked():
+def test_durations_count_each_bit_at_its_rate_and_the_intermission():
     bits = FrameBits(nominal=30, data=680)
     assert INTERMISSION_BITS == 3
     assert bits.duration_s(500_000, 2_000_000) == Fraction(33, 500_000) + Fraction(340, 1_000_000)
-    bare = bits.duration_s(500_000, 2_000_000, intermission=False)
-    assert bare == Fraction(30, 500_000) + Fraction(680, 2_000_000)
     assert FrameBits(132).duration_s(1_000_000) == Fraction(135, 1_000_000)
     assert (bits.total, bits.on_the_bus) == (710, 713)
 

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from can_rig.assessment.bus_timing import (
     AnalysisError,
-    Errors,
     PeriodicFrame,
     exact,
     response_times,
@@ -22,9 +21,9 @@ from tests.rig.assessment.simulated_bus import simulate
 
 BITS = worst_case_bits(7)  # 125 with the intermission: 1 ms at 125 kbit/s
 PAPER = [
-    PeriodicFrame("A", 1, BITS, period_s=0.0025, deadline_s=0.0025),
-    PeriodicFrame("B", 2, BITS, period_s=0.0035, deadline_s=0.00325),
-    PeriodicFrame("C", 3, BITS, period_s=0.0035, deadline_s=0.00325),
+    PeriodicFrame("A", 1, BITS, period_s=0.0025),
+    PeriodicFrame("B", 2, BITS, period_s=0.0035),
+    PeriodicFrame("C", 3, BITS, period_s=0.0035),
 ]
 
 
@@ -33,8 +32,8 @@ def small(name, length, period, jitter=0):
     return PeriodicFrame(str(name), name, FrameBits(length - 3), Fraction(period), Fraction(jitter))
 
 
-def bounds(frames, errors=None):
-    return [found.response_s for found in response_times(frames, 1, errors=errors)]
+def bounds(frames):
+    return [found.response_s for found in response_times(frames, 1)]
 
 
 @st.composite
@@ -50,7 +49,7 @@ def frame_sets(draw):
     ]
 
 
-def observed(frames, offsets, chance, count, errors=()):
+def observed(frames, offsets, chance, count):
     """Longest response of each frame in one simulation; instances are queued late by chance."""
     dues, queued = {}, []
     for m, (frame, offset) in enumerate(zip(frames, offsets, strict=True)):
@@ -60,7 +59,7 @@ def observed(frames, offsets, chance, count, errors=()):
             # a node queues one after the other, also where the jitter is longer than the period
             queued_at = max(queued_at, dues[m, k] + chance.randint(0, int(frame.jitter_s)))
             queued.append((queued_at, m, k))
-    ends = simulate(queued, [frame.bits.on_the_bus for frame in frames], errors)
+    ends = simulate(queued, [frame.bits.on_the_bus for frame in frames])
     last = min(dues[m, count - 1] for m in range(len(frames)))  # from there some are missing
     return [
         max((ends[key] - due for key, due in dues.items() if key[0] == m and due < last), default=0)
@@ -76,8 +75,6 @@ def test_the_example_that_refutes_the_original_analysis():
     assert [r.response_s for r in (a, b, c)] == [2 * ms, 3 * ms, Fraction(7, 2) * ms]
     assert (c.busy_period_s, c.instances, c.blocking_s) == (7 * ms, 2, 0)
     assert (a.blocking_s, b.blocking_s) == (ms, ms)
-    assert [r.schedulable for r in (a, b, c)] == [True, True, False]
-    assert c.slack_s == Fraction(-1, 4000)
     assert utilisation(PAPER, 125_000) == Fraction(4, 10) + Fraction(4, 7)
 
 
@@ -162,32 +159,10 @@ def test_the_bounds_are_reached_somewhere_among_all_offsets():
     assert longest == [found[0] - 1, found[1] - 1, found[2]]
 
 
-@given(frame_sets(), st.integers(60, 400), st.integers(1, 3), st.randoms(use_true_random=False))
-def test_no_response_exceeds_its_bound_where_frames_are_destroyed(frames, every, burst, chance):
-    found = bounds(frames, Errors(Fraction(every), burst))
-    start = chance.randint(0, 50)
-    at_once = [start + 40 * k for k in range(burst - 1)]  # one after the other, early
-    first = start + chance.randint(0, 30)
-    errors = [*at_once, *(first + every * k for k in range(8))]
-    offsets = [chance.randint(0, 30) for _ in frames]
-    seen = observed(frames, offsets, chance, 20, errors)
-    assert all(bound is None or s <= bound for s, bound in zip(seen, found, strict=True))
-
-
-def test_errors_by_hand():
-    """One frame of 10 in 100: w = E(w + 10), E(t) = 41 (burst - 1 + ⌈t / 50⌉)."""
-    frame = small(0, 10, 100)
-    assert bounds([frame]) == [10]
-    assert bounds([frame], Errors(50)) == [2 * 41 + 10]
-    assert bounds([frame], Errors(50, burst=2)) == [7 * 41 + 10]
-    assert bounds([frame], Errors(45)) == [None]  # 41/45 + 10/100 > 1
-
-
 def test_a_bus_with_too_much_on_it_has_no_bound_for_those_who_lose():
     a, b = response_times([small(0, 6, 10), small(1, 6, 10)], 1)
-    assert (a.response_s, a.schedulable) == (12, False)
-    assert (b.response_s, b.busy_period_s, b.instances, b.slack_s) == (None, None, 0, None)
-    assert not b.schedulable
+    assert a.response_s == 12
+    assert (b.response_s, b.busy_period_s, b.instances) == (None, None, 0)
 
 
 def test_a_bus_that_is_just_full_has_a_bound_as_long_as_nothing_comes_on_top():
@@ -249,17 +224,16 @@ def test_floats_are_the_decimals_that_they_print_as():
 
 
 @pytest.mark.parametrize(
-    ("frames", "errors"),
+    "frames",
     [
-        ([replace(PAPER[0], period_s=0.0)], None), ([replace(PAPER[0], period_s=nan)], None),
-        ([replace(PAPER[0], period_s=inf)], None), ([replace(PAPER[0], jitter_s=-1e-6)], None),
-        ([PAPER[0], replace(PAPER[1], frame_id=1)], None),
-        (PAPER, Errors(0.0)), (PAPER, Errors(0.1, burst=0)),
+        [replace(PAPER[0], period_s=0.0)], [replace(PAPER[0], period_s=nan)],
+        [replace(PAPER[0], period_s=inf)], [replace(PAPER[0], jitter_s=-1e-6)],
+        [PAPER[0], replace(PAPER[1], frame_id=1)],
     ],
 )  # fmt: skip
-def test_what_cannot_be_analysed_is_refused_in_one_line(frames, errors):
+def test_what_cannot_be_analysed_is_refused_in_one_line(frames):
     with pytest.raises(AnalysisError, match="must") as caught:
-        response_times(frames, 125_000, errors=errors)
+        response_times(frames, 125_000)
     assert "\n" not in str(caught.value)
 
 

@@ -11,8 +11,7 @@ from can_rig.buses.bus import open_bus, open_for_node
 from can_rig.cli.main import main
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import BusLostError, SilentNodeError
-from can_rig.nodes.bus_access import PersistentSender, StopRequest, Timeouts, Watchdog
-from can_rig.nodes.clock import SYSTEM_CLOCK
+from can_rig.nodes.bus_access import SYSTEM_CLOCK, PersistentSender, StopRequest, Timeouts, Watchdog
 from can_rig.nodes.runner import run_in_process
 from tests.helpers import record
 from tests.vcan import frame, on_two_buses, own_can, tool

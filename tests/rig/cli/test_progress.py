@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from rich.progress import Progress
 
-from can_rig.cli import progress as progress_module
+from can_rig.cli import output
 from can_rig.cli.main import main
-from can_rig.cli.progress import car_bar, counting, reading
+from can_rig.cli.output import car_bar, counting, reading
 from can_rig.logs.reading import read_log
 
 TERMINAL = os.environ | {"TTY_COMPATIBLE": "1", "COLUMNS": "120"}
@@ -102,7 +102,7 @@ def test_check_shows_the_bar_over_the_cars_that_it_drives(
     """16 vertices of the box and 8 cars from its inside."""
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
     monkeypatch.setenv("COLUMNS", "120")
-    monkeypatch.setattr(progress_module, "LONG_S", 0.0)
+    monkeypatch.setattr(output, "LONG_S", 0.0)
     with pytest.raises(SystemExit) as end:
         main(["check", "ideal", "--set", "tick_s=0.01", "--set", "design.tau_q_s=0.03"])
     assert end.value.code in {0, 1}

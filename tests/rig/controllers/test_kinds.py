@@ -63,6 +63,15 @@ def logged(scenario: Scenario, where: Path, bus: str | None = None) -> bytes:
     return (where / "bus.log").read_bytes()
 
 
+def test_the_report_of_another_controller_has_no_run_without_its_compensation(
+    tmp_path: Path,
+) -> None:
+    done = execute(of(PEERS["pi"]), tmp_path / "run", StopRequest(), Options())
+    assert (done.folder / "report.png").is_file()
+    assert done.metrics["deviation_peak_mps2"] > 0.0
+    assert done.metrics["deviation_peak_uncompensated_mps2"] is None
+
+
 @pytest.mark.parametrize("kind", [*PEERS, "filters"])
 def test_with_and_without_frames_the_log_is_the_same(kind: str, tmp_path: Path) -> None:
     scenario = of(kind) if kind != "filters" else load("default", [*FILTERS, *SHORT])

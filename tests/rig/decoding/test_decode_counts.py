@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.files import Contents, output
 from can_rig.errors import DbcError
+from can_rig.frames.codec import Checker, CheckStatus, Protector
 from can_rig.frames.databases import load_database
-from can_rig.frames.protection import Checker, CheckStatus, Protector
 from tests.helpers import DBC
 from tests.rig.decoding.databases import FEATURES
 from tests.rig.logs.messages import from_messages

@@ -14,8 +14,7 @@ from cantools.database.can import Message
 
 from can_rig.decoding.files import Form, Selection, decode_to_files
 from can_rig.frames.databases import load_database
-from can_rig.logs.frames import Frames
-from can_rig.logs.log import Log
+from can_rig.logs.frames import Frames, Log
 from can_rig.logs.reading import read_log
 
 MESSAGES, SIGNALS, ROWS = 40, 16, 25

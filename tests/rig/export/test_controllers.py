@@ -48,7 +48,7 @@ from can_rig.export.boards import (
 from can_rig.export.compiler import shared_library
 from can_rig.export.law import real_header
 from can_rig.export.trials import random_frames
-from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.codec import Transmitter
 from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of

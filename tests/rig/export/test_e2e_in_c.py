@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.controllers.ecus import host_library
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.protection import USABLE, Checker, CheckStatus, Protector
+from can_rig.frames.codec import USABLE, Checker, CheckStatus, MessageCodec, Protector
 from can_rig.scenario.build import network_of
 
 SCENARIO = load("default", [])

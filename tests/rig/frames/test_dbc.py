@@ -161,8 +161,7 @@ def test_the_table_of_identifiers_in_the_readme():
 
 
 def test_frames_differ_in_the_crc_of_their_data_id():
-    from can_rig.frames.endpoints import Transmitter
-    from can_rig.frames.protection import Checker, CheckStatus
+    from can_rig.frames.codec import Checker, CheckStatus, Transmitter
 
     codecs = [codec for name in FILES for codec in load_network(DBC / name)]
     for sender, receiver in combinations(codecs, 2):

@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from can_rig.frames.codec import Record
-from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.codec import CheckStatus, Receiver, Record, Transmitter
 from can_rig.frames.network import load_network
-from can_rig.frames.protection import CheckStatus
 from tests.rig.frames.codecs import STEER_BY_WIRE, codecs, floats, ticks
 
 

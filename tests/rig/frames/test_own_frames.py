@@ -8,9 +8,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
-from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.codec import CheckStatus, Receiver, Transmitter
 from can_rig.frames.network import Network
-from can_rig.frames.protection import CheckStatus
 from can_rig.scenario.build import network_of
 from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database, options
 

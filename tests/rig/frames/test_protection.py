@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from can_rig.frames.protection import Checker, CheckStatus, Protector
+from can_rig.frames.codec import Checker, CheckStatus, Protector
 
 DATA_ID = 0x5B11
 
@@ -98,8 +98,8 @@ NOT_COMPARED = {None: "NO_NEW_DATA", "bad": "WRONG_CRC", 15: "WRONG_CRC", "short
 class ReferenceChecker:
     """E2E_P01Check transcribed from the SWS, SyncCounterInit 1, with its own names."""
 
-    def __init__(self, max_delta_counter_init):
-        self.max_delta_counter_init = self.max_delta_counter = max_delta_counter_init
+    def __init__(self):
+        self.max_delta_counter = 1
         self.wait_for_first_data, self.last_valid_counter, self.sync_counter = True, 0, 0
 
     def check(self, event):
@@ -127,16 +127,16 @@ class ReferenceChecker:
 
     def take(self, counter, status):
         self.last_valid_counter = counter
-        self.max_delta_counter = self.max_delta_counter_init
+        self.max_delta_counter = 1
         return status
 
 
 events = st.one_of(st.integers(0, 15), st.sampled_from([None, "bad", "short"]))
 
 
-@given(st.integers(1, 14), st.lists(events, max_size=60))
-def test_counter_sequences_against_the_reference_model(max_delta_counter, sequence):
-    checker, reference = Checker(DATA_ID, max_delta_counter), ReferenceChecker(max_delta_counter)
+@given(st.lists(events, max_size=60))
+def test_counter_sequences_against_the_reference_model(sequence):
+    checker, reference = Checker(DATA_ID), ReferenceChecker()
     seen = dict.fromkeys(CheckStatus, 0)
     for event in sequence:
         if event is None:
@@ -161,7 +161,7 @@ def test_every_short_sequence_against_the_reference_model():
     frames = [frame(counter) for counter in range(15)]
     damaged = frame(3, data_id=DATA_ID ^ 0x0100)
     for sequence in itertools.product(STEPS, repeat=5):
-        checker, reference, counter = Checker(DATA_ID), ReferenceChecker(1), 7
+        checker, reference, counter = Checker(DATA_ID), ReferenceChecker(), 7
         assert checker.check(frames[counter]).name == reference.check(counter)
         for step in sequence:
             if step is None:
@@ -186,12 +186,6 @@ def test_data_id_out_of_range_is_refused(data_id):
         Protector(data_id)
     with pytest.raises(ValueError, match=r"must be 0\.\.65535"):
         Checker(data_id)
-
-
-@pytest.mark.parametrize("max_delta_counter", [0, 15])
-def test_max_delta_counter_out_of_range_is_refused(max_delta_counter):
-    with pytest.raises(ValueError, match=r"must be 1\.\.14"):
-        Checker(DATA_ID, max_delta_counter)
 
 
 def test_reject_counts_what_is_wrong_with_a_frame_and_leaves_the_sequence_alone():

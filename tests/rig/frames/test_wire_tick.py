@@ -7,8 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
-from can_rig.frames.codec import WIRE_TICKS, tick_at, tick_from, tick_on, ticks_ahead, ticks_on
-from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.codec import (
+    WIRE_TICKS,
+    Transmitter,
+    tick_at,
+    tick_from,
+    tick_on,
+    ticks_ahead,
+    ticks_on,
+)
 from can_rig.scenario.build import network_of
 
 NETWORK = network_of(load("default"))

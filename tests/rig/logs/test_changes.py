@@ -25,9 +25,9 @@ from can_rig.logs.frames import (
     REMOTE,
     SENT,
     Frames,
+    Log,
     concatenate,
 )
-from can_rig.logs.log import Log
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
 from tests.helpers import asked

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from can_rig.errors import LogError
-from can_rig.logs.frames import concatenate
-from can_rig.logs.log import Window
+from can_rig.logs.frames import Window, concatenate
 from can_rig.logs.reading import read_log
 from tests.helpers import asked
 from tests.rig.logs.candump_samples import rows, whole, written

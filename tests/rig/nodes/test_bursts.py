@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 
 from can_rig.buses.bus import open_bus, open_for_node
 from can_rig.buses.local.bus import HEADER
-from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.codec import Receiver, Transmitter
 from can_rig.nodes.bursts import Bursts
-from can_rig.nodes.bus_access import PersistentSender
-from can_rig.nodes.clock import SYSTEM_CLOCK
+from can_rig.nodes.bus_access import SYSTEM_CLOCK, PersistentSender
 from can_rig.nodes.recording import CandumpLines
 from tests.rig.nodes.ends import NETWORK
 

@@ -12,7 +12,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.controllers.making import controller_of
 from can_rig.controllers.our_law import PYTHON
-from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.codec import Transmitter
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.lockstep import ControllerNode

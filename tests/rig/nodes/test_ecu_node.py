@@ -11,8 +11,8 @@ from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import in_node
 from can_rig.controllers.protocol import WholeNode
 from can_rig.errors import ExportError
+from can_rig.frames.codec import CheckStatus
 from can_rig.frames.network import Network
-from can_rig.frames.protection import CheckStatus
 from can_rig.nodes.lockstep import ControllerNode, EcuNode, in_real_time, lockstep_controller
 from can_rig.scenario.build import network_of
 from firmware_model.firmware import PythonLaw

@@ -14,8 +14,7 @@ import pytest
 
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import ScenarioError, SilentNodeError
-from can_rig.frames.codec import MessageCodec, tick_on
-from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.codec import MessageCodec, Transmitter, tick_on
 from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
 from can_rig.nodes.lockstep import ControllerNode, PlantNode
 from can_rig.nodes.recording import Recorder

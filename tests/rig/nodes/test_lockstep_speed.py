@@ -10,7 +10,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import OurLaw
 from can_rig.controllers.protocol import Answer, InNode, Inputs
-from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.codec import Transmitter
 from can_rig.frames.operator_frames import Command, taken_message
 from can_rig.nodes.lockstep import ControllerNode
 from can_rig.scenario.build import network_of

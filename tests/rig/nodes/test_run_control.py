@@ -10,11 +10,10 @@ from can_rig.assessment.resolve import load
 from can_rig.controllers.making import controller_of
 from can_rig.controllers.our_law import PYTHON
 from can_rig.frames import operator_frames
-from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.codec import Transmitter
 from can_rig.frames.operator_frames import Command, command_message, taken_message
 from can_rig.logs.reading import read_log
-from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Watchdog
-from can_rig.nodes.clock import SYSTEM_CLOCK, Clock
+from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, SYSTEM_CLOCK, Clock, StopRequest, Watchdog
 from can_rig.nodes.ends import PlantEnd
 from can_rig.nodes.interaction import Interaction
 from can_rig.nodes.operating import Touch, done, touches

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.errors import RunFolderError
-from can_rig.nodes.clock import Pace
+from can_rig.nodes.bus_access import Pace
 from can_rig.nodes.realtime.timing import Histogram, Timing
 from can_rig.nodes.recording import RealTimeRecorder
 from tests.clock import TurnedClock

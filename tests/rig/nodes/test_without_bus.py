@@ -17,9 +17,8 @@ from can_rig.assessment.resolve import load
 from can_rig.controllers.making import PEER
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import RigError
-from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.codec import COUNTERS, Transmitter
 from can_rig.frames.frame_columns import payloads, quantised
-from can_rig.frames.protection import COUNTERS
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.without_bus import run_without_bus

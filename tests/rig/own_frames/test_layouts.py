@@ -11,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_rig.errors import DbcError
-from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.codec import CheckStatus, Receiver, Transmitter
 from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network
-from can_rig.frames.protection import CheckStatus
 from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database
 
 VALUES = st.floats(allow_nan=False, allow_infinity=True)

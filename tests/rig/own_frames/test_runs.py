@@ -16,8 +16,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import DbcError, ScenarioError, SilentNodeError
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.clock import SystemClock
+from can_rig.nodes.bus_access import StopRequest, SystemClock
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
 from can_rig.nodes.ticks import drive
 from can_rig.plant.frameless import frameless

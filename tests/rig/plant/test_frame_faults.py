@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
-from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.codec import Receiver, Transmitter
 from can_rig.plant.faults.frame_faults import Delivery, FrameFaults, delivery
 from can_rig.scenario.build import network_of
 from can_rig.scenario.fault_settings import CHANNELS, PLACES

@@ -10,7 +10,7 @@ from pathlib import Path
 from can import Message
 
 from can_rig.assessment.resolve import load
-from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.codec import Transmitter
 from can_rig.replaying.gaps import Gap
 from can_rig.replaying.replay import OpenLoop
 from can_rig.scenario.build import controller_table, network_of

@@ -10,7 +10,7 @@ from can import Message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.codec import Transmitter
 from firmware_model.law.status import Mode
 from tests.helpers import NAMES
 from tests.rig.replay.drive import (

@@ -14,7 +14,7 @@ from can import LogReader
 from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import LogError
-from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.codec import Transmitter
 from can_rig.frames.network import Network
 from can_rig.logs.columns import ON_THE_BUS as COLUMNS
 from can_rig.nodes.bus_access import StopRequest
