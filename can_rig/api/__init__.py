@@ -23,7 +23,7 @@ from can_rig.assessment import resolve
 from can_rig.assessment.speeds import DriveCheck
 from can_rig.assessment.speeds import check as check_speeds
 from can_rig.assessment.stability import StabilityCheck
-from can_rig.assessment.tuning.box import cars_of
+from can_rig.assessment.tuning.candidate import cars_of
 from can_rig.assessment.tuning.search import Tunings
 from can_rig.assessment.tuning.search import tune as search
 from can_rig.decoding.decode import decode_log

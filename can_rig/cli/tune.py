@@ -8,8 +8,7 @@ from pathlib import Path
 import click
 
 from can_rig.assessment.resolve import load
-from can_rig.assessment.tuning.box import cars_of
-from can_rig.assessment.tuning.candidate import NoTuningError, refusals_as_dict
+from can_rig.assessment.tuning.candidate import NoTuningError, cars_of, refusals_as_dict
 from can_rig.assessment.tuning.report import (
     as_dict,
     headings,

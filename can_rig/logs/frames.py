@@ -56,15 +56,8 @@ class Frames:
 
     def __getitem__(self, rows: slice | NDArray[Any]) -> Frames:
         """Selected frames: a slice, a mask, or row numbers."""
-        return Frames(
-            self.time_ns[rows],
-            self.arbitration_id[rows],
-            self.flags[rows],
-            self.channel[rows],
-            self.length[rows],
-            self.data[rows],
-            self.channels,
-        )
+        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in Columns._fields}
+        return replace(self, **columns)
 
     def has(self, flag: int) -> NDArray[np.bool_]:
         """(n,) whether a frame has at least one of the flags."""
@@ -134,16 +127,7 @@ class Columns(NamedTuple):
 
     def frames(self, count: int, names: tuple[str, ...] = ()) -> Frames:
         """The first ``count`` frames."""
-        every = Frames(
-            self.time_ns,
-            self.arbitration_id,
-            self.flags,
-            self.channel,
-            self.length,
-            self.data,
-            names,
-        )
-        return every[:count]
+        return Frames(*self, names)[:count]
 
 
 def empty_columns(rows: int, width: int, bus: type[np.unsignedinteger[Any]] = np.uint8) -> Columns:

@@ -106,48 +106,36 @@ def test_only_commands_and_heavy_libraries_excuse_an_import_within_a_function() 
     assert unexcused == {}
 
 
-# What a broken arrow would look like, and the contract that must object.
-BROKEN = {
-    "upwards": (
-        "can_rig/frames/codec.py",
-        "from can_rig.nodes import lockstep",
-        "The rooms of can_rig BROKEN",
-    ),
-    "upwards, within a function": (
+# Broken arrows, and what the contracts say of each.
+BROKEN = (
+    ("can_rig/frames/codec.py", "from can_rig.nodes import lockstep", "codec -> can_rig.nodes"),
+    (
         "can_rig/scenario/reference.py",
         "def late():\n    from can_rig.plant import faults",
-        "The rooms of can_rig BROKEN",
+        "reference -> can_rig.plant",
     ),
-    "sideways": (
-        "can_rig/logs/frames.py",
-        "from can_rig.frames import codec",
-        "The rooms of can_rig BROKEN",
-    ),
-    "target": (
+    ("can_rig/logs/frames.py", "from can_rig.frames import codec", "frames -> can_rig.frames"),
+    (
         "firmware_model/law/filters/biquad.py",
         "from firmware_model.design import zpk",
-        "The rooms of firmware_model BROKEN",
+        "biquad -> firmware_model.design.zpk",
     ),
-    "to the rig": ("firmware_model/design/zpk.py", "import can_rig.errors", "knows no rig"),
-    "to a bus": ("firmware_model/firmware.py", "import can", "knows no rig"),
-    "to a clock": ("firmware_model/firmware.py", "import time", "knows no rig"),
-    "circle": (
+    ("firmware_model/design/zpk.py", "import can_rig.errors", "zpk -> can_rig.errors"),
+    ("firmware_model/firmware.py", "import can", "firmware_model.firmware -> can "),
+    ("firmware_model/compiled.py", "import time", "firmware_model.compiled -> time "),
+    (
         "can_rig/frames/codec.py",
         "from can_rig.frames import network",
-        "in a circle BROKEN",
+        "cycles are allowed in can_rig.frames.",
     ),
-    "a room that no contract names": (
-        "can_rig/attic/__init__.py",
-        "from can_rig import errors",
-        "can_rig.attic",
-    ),
-}
+    ("can_rig/attic/__init__.py", "from can_rig import errors", "- can_rig.attic "),
+)
 
 
-@pytest.fixture(scope="module")
-def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
     """Both packages without their data, to be broken."""
-    folder = tmp_path_factory.mktemp("copy")
+    folder = tmp_path / "copy"
     for path in [*sources(*PACKAGES), CHECKOUT / "pyproject.toml"]:
         target = folder / path.relative_to(CHECKOUT)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -173,20 +161,13 @@ def test_the_contracts_are_kept(copy: Path) -> None:
     assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.parametrize("kind", BROKEN)
-def test_the_contracts_object(copy: Path, kind: str) -> None:
-    name, statement, objection = BROKEN[kind]
-    path = copy / name
-    before = path.read_text("utf-8") if path.exists() else None
-    path.parent.mkdir(exist_ok=True)
-    path.write_text(f"{before or ''}\n{statement}\n", "utf-8")
-    try:
-        done = lint(copy)
-    finally:
-        path.unlink()
-        if before is None:
-            path.parent.rmdir()
-        else:
-            path.write_text(before, "utf-8")
+def test_the_contracts_object(copy: Path) -> None:
+    for name, statement, _ in BROKEN:
+        path = copy / name
+        path.parent.mkdir(exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(f"\n{statement}\n")
+    done = lint(copy)
     assert done.returncode == 1
-    assert objection in " ".join(done.stdout.split())
+    objections = " ".join(done.stdout.split())
+    assert [said for *_, said in BROKEN if said not in objections] == []

@@ -12,8 +12,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from can_rig.assessment.tuning.box import MAX_DELAY_TICKS
-from can_rig.assessment.tuning.candidate import Tuning, refusals_as_dict
+from can_rig.assessment.tuning.candidate import MAX_DELAY_TICKS, Tuning, refusals_as_dict
 from can_rig.assessment.tuning.search import EQUAL_PEAKS, Tunings
 from can_rig.drawing import style
 from can_rig.drawing.names import names_of, ticks_text, with_unit

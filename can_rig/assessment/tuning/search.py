@@ -24,8 +24,8 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from can_rig.assessment.tuning.box import Car, delay_margin
 from can_rig.assessment.tuning.candidate import (
+    Car,
     NoTuningError,
     Refusal,
     Tuning,
@@ -33,6 +33,7 @@ from can_rig.assessment.tuning.candidate import (
     advice,
     assess,
     box_refusal,
+    delay_margin,
     grid,
     has_control_authority,
     trusting_table,

@@ -110,8 +110,7 @@ def by_hand(
     return np.linalg.eigvals(a + b @ k @ np.linalg.solve(np.eye(10) - d @ k, c))
 
 
-@pytest.mark.parametrize("extra", [0, 2])
-@pytest.mark.parametrize("left", [HEALTHY, DEAD, (0.5, 1.0)])
+@pytest.mark.parametrize(("left", "extra"), [(HEALTHY, 2), (DEAD, 0), ((0.5, 1.0), 2)])
 @pytest.mark.parametrize(
     ("latency", "rule"), [(0, "tustin"), (0, "zoh"), (1, "tustin-held"), (3, "zoh")]
 )

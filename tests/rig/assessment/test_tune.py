@@ -12,16 +12,19 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.assessment.tuning.box import (
+from can_rig.assessment.tuning.candidate import (
     MAX_DELAY_TICKS,
     Car,
+    Tuning,
+    box_refusal,
     cars,
     delay_margin,
     is_stable,
     laws,
     parameter_ranges,
+    trusting_table,
+    with_tuning,
 )
-from can_rig.assessment.tuning.candidate import Tuning, box_refusal, trusting_table, with_tuning
 from can_rig.assessment.tuning.report import as_dict, options, rows
 from can_rig.assessment.tuning.search import LONGEST_FRONT, Tunings, tune
 from can_rig.scenario.build import continuous_plant

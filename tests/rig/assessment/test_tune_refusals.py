@@ -9,8 +9,16 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.assessment.tuning.box import cars, parameter_ranges
-from can_rig.assessment.tuning.candidate import NoTuningError, Refusal, Tuning, advice, assess, grid
+from can_rig.assessment.tuning.candidate import (
+    NoTuningError,
+    Refusal,
+    Tuning,
+    advice,
+    assess,
+    cars,
+    grid,
+    parameter_ranges,
+)
 from can_rig.assessment.tuning.report import why
 from can_rig.assessment.tuning.search import EQUAL_PEAKS
 from can_rig.scenario.build import continuous_plant

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from functools import cache
 from itertools import product
 
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.assessment.tuning.box import cars, parameter_ranges
+from can_rig.assessment.tuning.candidate import cars, parameter_ranges
 from can_rig.assessment.tuning.search import Tunings, tune
 from can_rig.scenario.settings import Scenario
 
@@ -27,6 +28,7 @@ def scenario_of(*settings: str) -> Scenario:
     return load("thesis-step", [*SETTINGS, *settings])
 
 
+@cache
 def found_for(  # type: ignore[no-untyped-def]
     *settings: str, share: float = 0.2, spare: int = 1, limit=None, torque_limit=None
 ) -> Tunings:

@@ -13,8 +13,7 @@ import pytest
 from can_rig.assessment.limitations import describe, plant_limitations
 from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability, refuse_unstable
-from can_rig.assessment.tuning.box import cars_of
-from can_rig.assessment.tuning.candidate import Values
+from can_rig.assessment.tuning.candidate import Values, cars_of
 from can_rig.assessment.tuning.search import tune
 from can_rig.errors import ScenarioError
 from can_rig.plant.frameless import frameless

@@ -14,8 +14,7 @@ from scipy import signal
 from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
 from can_rig.assessment.tuning import search
-from can_rig.assessment.tuning.box import cars, parameter_ranges
-from can_rig.assessment.tuning.candidate import Values
+from can_rig.assessment.tuning.candidate import Values, cars, parameter_ranges
 from can_rig.plant.frameless import frameless
 from can_rig.results.report import page as report
 from can_rig.results.signals import read_signals

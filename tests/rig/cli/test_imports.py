@@ -36,14 +36,12 @@ def imported_by(*arguments: str) -> set[str]:
     ("arguments", "without"),
     [
         (["--help"], TABLES | PICTURES | SOLVERS | NUMBERS | {"rich"}),
-        (["--version"], TABLES | PICTURES | SOLVERS | NUMBERS | {"rich"}),
         (["scenarios"], TABLES | PICTURES | SOLVERS | NUMBERS),
         (
             ["check", "thesis-step"],
             TABLES | PICTURES | SOLVERS | {"yaml", "numpy.f2py.f2py2e"},
         ),
         (["bus"], TABLES | PICTURES | SOLVERS),
-        (["controller", "--help"], TABLES | PICTURES | SOLVERS),
         (["run", "--help"], TABLES | PICTURES | SOLVERS),
     ],
 )

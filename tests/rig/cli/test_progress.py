@@ -23,9 +23,8 @@ def last_count(text: str) -> str:
     return re.findall(r"[\d,/]+ (?:ticks|frames|cars)", text)[-1]
 
 
-@pytest.mark.parametrize("extra", [[], ["--in-process"]])
-def test_the_bar_of_a_complete_run_ends_at_its_last_tick(extra: list[str], tmp_path: Path) -> None:
-    words = ["run", "thesis-step", "--set", "duration_s=1", "--out", str(tmp_path / "r"), *extra]
+def test_the_bar_of_a_complete_run_ends_at_its_last_tick(tmp_path: Path) -> None:
+    words = ["run", "thesis-step", "--set", "duration_s=1", "--out", str(tmp_path / "r")]
     done = subprocess.run(
         [sys.executable, "-m", "can_rig", *words],
         env=TERMINAL, capture_output=True, text=True, timeout=300, check=False,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import gzip
 import json
-import subprocess
 from pathlib import Path
 
 import asammdf
@@ -14,14 +13,11 @@ import cantools
 import numpy as np
 import pandas as pd
 import pytest
-from click.testing import CliRunner
 
-from can_rig.cli.main import main
 from can_rig.decoding.decode import decode_log
 from can_rig.frames.databases import shipped_dbc
 from can_rig.results.run_folder import LOG
-from tests.helpers import NAMES, decoded, record
-from tests.helpers import rig as rig_process
+from tests.helpers import NAMES, asked, decoded, record, rig
 
 FEATURES = """VERSION ""
 BU_: ECU
@@ -34,13 +30,6 @@ BO_ 768 PLAIN: 2 ECU
  SG_ Speed : 0|16@1+ (0.01,0) [0|0] "km/h" ECU
 VAL_ 2147484160 Door 0 "shut, locked" 1 "open" ;
 """
-
-
-def rig(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """``can-rig`` with ``arguments``, in this process."""
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert result.exception is None or isinstance(result.exception, SystemExit)
-    return subprocess.CompletedProcess(arguments, result.exit_code, result.stdout, result.stderr)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +57,7 @@ def foreign(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def test_a_run_as_a_table(drive: Path, tmp_path: Path) -> None:
-    done = rig("decode", drive, "--out", tmp_path / "a.csv", "--out", tmp_path / "a.parquet")
+    done = asked("decode", drive, "--out", tmp_path / "a.csv", "--out", tmp_path / "a.parquet")
     assert done.returncode == 0, done.stderr
     expected = decoded(drive)
     stamps = [round(message.timestamp * 1e9) for message in can.LogReader(drive)]
@@ -86,7 +75,7 @@ def test_a_run_as_a_table(drive: Path, tmp_path: Path) -> None:
 
 def test_anybodys_log_through_anybodys_dbc(foreign: tuple[Path, Path], tmp_path: Path) -> None:
     dbc, log = foreign
-    done = rig("decode", log, "--dbc", dbc, "--out", tmp_path / "a.csv", "--names", "--json")
+    done = asked("decode", log, "--dbc", dbc, "--out", tmp_path / "a.csv", "--names", "--json")
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert summary["messages"]["MIXED"] == {
@@ -125,7 +114,7 @@ def test_anybodys_log_through_anybodys_dbc(foreign: tuple[Path, Path], tmp_path:
 def test_a_folder_has_a_file_for_each_message(foreign: tuple[Path, Path], tmp_path: Path) -> None:
     dbc, log = foreign
     out = tmp_path / "decoded"
-    assert rig("decode", log, "--dbc", dbc, "--out", out, "--relative").returncode == 0
+    assert asked("decode", log, "--dbc", dbc, "--out", out, "--relative").returncode == 0
     assert {path.name for path in out.iterdir()} == {"MIXED.csv", "PLAIN.csv", "_decoded.json"}
     table = pd.read_csv(out / "MIXED.csv")
     assert list(table.columns) == ["time_s", "Page", "Door", "Level", "Odometer"]
@@ -136,7 +125,7 @@ def test_a_folder_has_a_file_for_each_message(foreign: tuple[Path, Path], tmp_pa
 def test_mdf_opens_in_asammdf(foreign: tuple[Path, Path], tmp_path: Path) -> None:
     dbc, log = foreign
     columns = decode_log(log, dbc)
-    assert rig("decode", log, "--dbc", dbc, "--out", tmp_path / "a.mf4").returncode == 0
+    assert asked("decode", log, "--dbc", dbc, "--out", tmp_path / "a.mf4").returncode == 0
     with asammdf.MDF(tmp_path / "a.mf4") as file:
         assert [group.channel_group.acq_name for group in file.groups] == ["MIXED", "PLAIN"]
         assert file.header.abs_time == 1_700_000_000 * 10**9
@@ -154,7 +143,7 @@ def test_the_same_as_asammdf_extracts(drive: Path, tmp_path: Path) -> None:
     """From bus logging written by the rig: log → MF4 → asammdf's own decoder, and ours."""
     run = tmp_path / "run"
     arguments = ("--set", "duration_s=0.2", "--out", run, "--log", tmp_path / "bus.mf4")
-    assert rig("run", "thesis-step", *arguments, "--in-process").returncode == 0
+    assert asked("run", "thesis-step", *arguments, "--in-process").returncode == 0
     ours = decode_log(tmp_path / "bus.mf4", shipped_dbc("steer_by_wire.dbc"))
     files = {"CAN": [(shipped_dbc("steer_by_wire.dbc"), 0)]}
     with asammdf.MDF(tmp_path / "bus.mf4") as file, file.extract_bus_logging(files) as extracted:
@@ -169,14 +158,14 @@ def test_a_run_writes_its_log_in_other_formats(tmp_path: Path) -> None:
     names = ["a.blf", "a.asc", "a.mf4", "a.trc", "a.log.gz"]
     logs = [option for name in names for option in ("--log", tmp_path / name)]
     arguments = ("run", "thesis-step", "--set", "duration_s=0.05", "--in-process", *logs)
-    assert rig(*arguments, "--out", tmp_path / "run").returncode == 0
+    assert asked(*arguments, "--out", tmp_path / "run").returncode == 0
     expected = decoded(tmp_path / "run" / LOG)
     for name in names:
         log = decode_log(tmp_path / name, shipped_dbc("steer_by_wire.dbc"))
         sent = {name: (c.frames, c.decoded) for name, c in log.counts.items() if c.frames}
         assert list(sent.values()) == [(50, 50)] * 5  # no speed and no further sensor
         assert log["DSTAR_FEEDBACK"].signals["DStar"].tolist() == list(expected["DSTAR_FEEDBACK"])
-    again = rig(*arguments, "--out", tmp_path / "other")
+    again = asked(*arguments, "--out", tmp_path / "other")
     assert again.returncode == 2
     assert "a.blf: exists" in again.stderr
     assert not (tmp_path / "other").exists()
@@ -191,7 +180,7 @@ def test_counts_of_a_damaged_run(drive: Path, tmp_path: Path) -> None:
     lines[feedback[10]] = ""
     lines[feedback[20]] *= 2
     (tmp_path / "a.log").write_text("".join(lines), "ascii")
-    summary = json.loads(rig("decode", tmp_path / "a.log", "--json").stdout)
+    summary = json.loads(asked("decode", tmp_path / "a.log", "--json").stdout)
     assert summary["messages"]["DSTAR_FEEDBACK"] == {
         **dict.fromkeys(summary["messages"]["DSTAR_FEEDBACK"], 0),
         "frames": 300,
@@ -201,7 +190,7 @@ def test_counts_of_a_damaged_run(drive: Path, tmp_path: Path) -> None:
         "gaps": 2,
         "lost": 2,
     }
-    shown = rig("decode", tmp_path / "a.log").stdout
+    shown = asked("decode", tmp_path / "a.log").stdout
     assert "wrong crc" in shown
     assert "too short" not in shown
 
@@ -209,28 +198,28 @@ def test_counts_of_a_damaged_run(drive: Path, tmp_path: Path) -> None:
 def test_outputs_are_whole_and_never_replaced_unasked(drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "a.csv"
     out.write_text("mine")
-    refused = rig("decode", drive, "--out", out)
+    refused = asked("decode", drive, "--out", out)
     assert (refused.returncode, out.read_text()) == (2, "mine")
     assert refused.stderr.count("\n") == 1
     assert "exists" in refused.stderr
     bad = tmp_path / "bad.log"
     bad.write_text(drive.read_text("ascii") + "no frame\n", "ascii")
-    failed = rig("decode", bad, "--out", out, "--force")
+    failed = asked("decode", bad, "--out", out, "--force")
     assert (failed.returncode, out.read_text()) == (2, "mine")
     assert "line 1501: not a frame" in failed.stderr
-    assert rig("decode", drive, "--out", out, "--force").returncode == 0
+    assert asked("decode", drive, "--out", out, "--force").returncode == 0
     assert len(pd.read_csv(out)) == 1500
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", "bad.log"]
     mine = tmp_path / "folder"
     mine.mkdir()
     (mine / "thesis.txt").write_text("mine")
-    kept = rig("decode", drive, "--out", mine, "--force")
+    kept = asked("decode", drive, "--out", mine, "--force")
     assert (kept.returncode, (mine / "thesis.txt").read_text()) == (2, "mine")
 
 
 def test_a_missing_end_is_said_and_the_rest_decoded(drive: Path, tmp_path: Path) -> None:
     (tmp_path / "a.log").write_bytes(drive.read_bytes()[:-9])
-    done = rig_process("decode", tmp_path / "a.log")
+    done = rig("decode", tmp_path / "a.log")
     assert done.returncode == 0
     assert "note:" in done.stderr
     assert "line 1500: the file ends within this line" in done.stderr
@@ -251,14 +240,14 @@ def test_a_missing_end_is_said_and_the_rest_decoded(drive: Path, tmp_path: Path)
     ],
 )
 def test_bad_input_is_one_line(drive: Path, arguments: list[str], reason: str) -> None:
-    done = rig("decode", *(argument.format(log=drive) for argument in arguments))
+    done = asked("decode", *(argument.format(log=drive) for argument in arguments))
     assert done.returncode == 2
     assert done.stderr.startswith(f"error: {reason}")
     assert done.stderr.count("\n") == 1
 
 
 def test_a_node_records_candump_lines_only(tmp_path: Path) -> None:
-    done = rig("plant", "thesis-step", "--log", tmp_path / "a.blf", "--wait", "0.01")
+    done = asked("plant", "thesis-step", "--log", tmp_path / "a.blf", "--wait", "0.01")
     assert done.returncode == 2
     assert "a.blf: must be FILE.log, a node records candump lines" in done.stderr
     assert not (tmp_path / "a.blf").exists()
@@ -268,18 +257,18 @@ def test_a_node_replaces_no_log_unasked(tmp_path: Path) -> None:
     log = tmp_path / "drive.log"
     log.write_text("a drive\n")
     command = ("plant", "thesis-step", "--log", log, "--bus", f"local:{tmp_path / 'b'}")
-    done = rig(*command, "--wait", "0.01")
+    done = asked(*command, "--wait", "0.01")
     assert done.returncode == 2
     assert f"{log}: exists; choose another --log, or --force to replace it" in done.stderr
     assert log.read_text() == "a drive\n"
-    assert rig(*command, "--wait", "0.01", "--force").returncode == 3
+    assert asked(*command, "--wait", "0.01", "--force").returncode == 3
     assert log.read_text() == "a drive\n"  # nothing was recorded that could replace the log
 
 
 def test_an_empty_log_gives_an_empty_table(tmp_path: Path) -> None:
     (tmp_path / "a.asc").write_text("date Mon Jan 1 00:00:00 2024\nbase hex timestamps absolute\n")
     outputs = [option for name in ("a.csv", "a.mf4", "b") for option in ("--out", tmp_path / name)]
-    assert rig("decode", tmp_path / "a.asc", *outputs).returncode == 0
+    assert asked("decode", tmp_path / "a.asc", *outputs).returncode == 0
     assert len(pd.read_csv(tmp_path / "a.csv")) == 0
     assert (tmp_path / "b").is_dir()
 
@@ -288,7 +277,7 @@ def test_an_empty_log_gives_an_empty_table(tmp_path: Path) -> None:
 def test_an_empty_file_is_no_log(name: str, tmp_path: Path) -> None:
     """Without a frame no line shows the candump format."""
     (tmp_path / name).write_bytes(gzip.compress(b"") if name.endswith(".gz") else b"")
-    done = rig("decode", tmp_path / name, "--out", tmp_path / "a.csv")
+    done = asked("decode", tmp_path / name, "--out", tmp_path / "a.csv")
     assert done.returncode == 2
     assert done.stderr.startswith(f"error: {tmp_path / name}: has no frame in it")
     assert done.stderr.count("\n") == 1
@@ -297,5 +286,5 @@ def test_an_empty_file_is_no_log(name: str, tmp_path: Path) -> None:
 
 def test_unknown_identifiers_are_told_from_their_counts(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("(1.000000) can0 123#00\n(2.000000) can0 123#01\n")
-    done = rig("decode", tmp_path / "a.log")
+    done = asked("decode", tmp_path / "a.log")
     assert "frames not in the database: 2 (identifier 0x123: 2)" in done.stdout

@@ -112,7 +112,7 @@ def test_a_group_is_the_identifier_without_priority_and_addresses(
         assert group_key(identifier) != group_key(identifier ^ 1 << 8)
 
 
-@pytest.mark.parametrize("suffix", [".log", ".log.gz", ".asc", ".blf", ".trc", ".mf4"])
+@pytest.mark.parametrize("suffix", [".log", ".blf", ".mf4"])
 def test_can_fd_j1939_and_classic_buses_in_one_log(tmp_path: Path, suffix: str) -> None:
     """CAN FD of 64 bytes, J1939 with long messages, a classic bus, and one without a database."""
     fd = 'VERSION ""\nBU_: A\nBO_ 256 LONG: 64 A\n SG_ LAST : 488|24@1- (0.5,1) [0|0] "" A\n'

@@ -14,7 +14,6 @@ from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
-from can_rig.errors import RunFolderError
 from can_rig.export.application import HEADER, exported, write
 from can_rig.export.c_files import WIDTH, constants_files
 from can_rig.export.compiler import built as compiled
@@ -243,24 +242,3 @@ def test_force_writes_over_an_export_and_keeps_what_else_is_there(tmp_path: Path
     assert CliRunner().invoke(main, [*command, "--force"]).exit_code == 0
     found = {path.name: path.read_text() for path in made.iterdir()}
     assert found == exported(load("default", [])) | {"law.c": "old", "can_driver.c": "mine"}
-
-
-@pytest.mark.parametrize("out", [".", "work", "work/..", "/"])
-def test_force_writes_into_no_other_folder(
-    out: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "work").mkdir()
-    for kept in ("thesis.txt", "work/notes.txt"):
-        (tmp_path / kept).write_text("mine")
-    with pytest.raises(RunFolderError, match="not an exported controller, so --force does not"):
-        write({HEADER: "new"}, Path(out), force=True)
-    assert {path.name for path in tmp_path.rglob("*")} == {"thesis.txt", "work", "notes.txt"}
-
-
-def test_what_is_no_folder_is_one_line(tmp_path: Path) -> None:
-    write({HEADER: "new"}, tmp_path, force=True)  # an empty folder may be forced
-    assert (tmp_path / HEADER).read_text() == "new"
-    (tmp_path / "file").write_text("mine")
-    with pytest.raises(RunFolderError, match="cannot be read: Not a directory"):
-        write({HEADER: "new"}, tmp_path / "file", force=True)

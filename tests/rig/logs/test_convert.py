@@ -19,25 +19,10 @@ from tests.rig.logs.samples import (
     PEAK,
     busmaster,
     by_python_can,
-    content,
-    kinds,
     plain,
 )
 
 LOG = "".join(f"({at // 10}.{at % 10}00000) can{at % 2} 123#{at:02X}\n" for at in range(100))
-
-
-@pytest.mark.parametrize("first", [".asc", ".blf", ".trc", ".mf4", ".log.gz"])
-@pytest.mark.parametrize("second", [".asc", ".blf", ".trc", ".mf4", ".log"])
-def test_every_format_into_every_other(tmp_path: Path, first: str, second: str) -> None:
-    source = by_python_can(tmp_path / "a.log", [m for m in kinds() if not m.is_error_frame])
-    for a, b in (
-        (source, tmp_path / f"b{first}"),
-        (tmp_path / f"b{first}", tmp_path / f"c{second}"),
-    ):
-        done = asked("convert", a, b)
-        assert done.returncode == 0, done.stdout
-    assert content(whole(tmp_path / f"c{second}")) == content(whole(source))
 
 
 def test_a_part_of_the_recording(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from can_rig.logs.frames import (
     concatenate,
 )
 from can_rig.logs.reading import read_log
-from can_rig.logs.writing import write_log
 from tests.rig.logs.samples import LOG2ASC, PEAK, by_python_can, content, plain
 
 
@@ -44,29 +43,6 @@ def test_cut_off_at_every_byte(tmp_path: Path, suffix: str) -> None:
         else:
             assert "\n" not in log.notice
     assert most >= (0 if suffix == ".blf" else 5)  # the only container of this BLF is cut
-
-
-def test_a_cut_off_mdf_file_is_read_or_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.mf4"
-    by_python_can(tmp_path / "a.log", plain(40))
-    write_log(read_log(tmp_path / "a.log"), path)
-    data = path.read_bytes()
-    every = content(concatenate(read_log(path)))
-    for cut in [*range(0, len(data), 211), len(data) - 1]:
-        path.write_bytes(data[:cut])
-        log = read_log(path)
-        try:
-            found = content(concatenate(log))
-        except LogError as error:
-            assert str(error).startswith(str(path))
-            assert "\n" not in str(error)
-            assert cut == 0 or "MDF 4 file that is cut off" in str(error)
-        else:
-            assert found == every[: len(found)]
-            assert (log.notice is None) == (len(found) == len(every))
-    path.write_bytes(b"MDF     3.30" + data[12:100])
-    with pytest.raises(LogError, match=r"a\.mf4: not an MDF 4 file"):
-        concatenate(read_log(path))
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".trc", ".mf4"])

@@ -22,27 +22,19 @@ base hex  timestamps absolute
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "line"),
+    ("name", "content", "said"),
     [
-        ("short.trc", TRC, 4),
-        ("short.asc", ASC, 3),
-        ("hex.trc", TRC.replace("7  00 00", "1  0G"), 4),
+        ("short.trc", TRC, "line 4: "),
+        ("short.asc", ASC, "line 3: "),
+        ("a.mf4", "MDF     4.10    " + "\0" * 1000, "an MDF 4 file that is cut off or damaged"),
+        ("old.mf4", "MDF     3.30" + "\0" * 88, "not an MDF 4 file"),
     ],
 )
-def test_one_line_for_a_bad_line(tmp_path: Path, name: str, content: str, line: int) -> None:
+def test_one_line_for_a_damaged_log(tmp_path: Path, name: str, content: str, said: str) -> None:
     path = tmp_path / name
     path.write_text(content, "ascii")
     done = rig("decode", path)  # a process: pytest itself keeps log records off standard error
     assert done.returncode == 2
     assert done.stdout == ""
-    (said,) = done.stderr.splitlines()
-    assert said.startswith(f"error: {path}: line {line}: ")
-
-
-def test_one_line_for_a_cut_off_mdf_file(tmp_path: Path) -> None:
-    path = tmp_path / "a.mf4"
-    path.write_bytes(b"MDF     4.10    " + bytes(1000))
-    done = rig("decode", path)
-    assert done.returncode == 2
-    (said,) = done.stderr.splitlines()
-    assert said.startswith(f"error: {path}: an MDF 4 file that is cut off or damaged")
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"error: {path}: {said}")

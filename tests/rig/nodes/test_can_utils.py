@@ -4,19 +4,14 @@ import json
 import os
 import pty
 import select
-import signal
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from can_rig.assessment.resolve import load
-from can_rig.cli.main import main
-from can_rig.results.run_folder import LOG, SIGNALS, SUMMARY
+from can_rig.results.run_folder import LOG, SUMMARY
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from tests.helpers import DBC, NAMES, record, rig, start
@@ -41,16 +36,6 @@ def only(mark, seen):
 def contains_in_order(seen, wanted):
     remaining = iter(seen)
     return all(each in remaining for each in wanted)
-
-
-@pytest.fixture
-def signals_as_before():
-    """A run in this process takes Ctrl-C for itself, for good."""
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = [signal.getsignal(number) for number in numbers]
-    yield
-    for number, handler in zip(numbers, before, strict=True):
-        signal.signal(number, handler)
 
 
 # --- looking on --------------------------------------------------------------------------------
@@ -155,15 +140,6 @@ def test_canplayer_in_the_controllers_place_gives_the_same_drive(tmp_path):
     assert log.read_bytes() == recorded.read_bytes()
 
 
-def test_canplayer_replays_a_whole_log_that_candump_finds_the_same(tmp_path):
-    recorded = record(tmp_path, SHORT, "fault.at_s=0.1", "fault.kind=frames-corrupted")[0]
-    with beside(*CANDUMP, "-n", 1500, cwd=tmp_path) as heard:
-        tool("canplayer", "-I", recorded, "-t", "-g", 0)
-        heard.wait(TIMEOUT_S)
-    (candump,) = tmp_path.glob("candump-*.log")
-    assert [each[0] for each in frames(candump)] == [each[0] for each in frames(recorded)]
-
-
 # --- crowding ----------------------------------------------------------------------------------
 
 
@@ -187,41 +163,6 @@ def test_a_flood_of_random_frames_at_full_speed_changes_no_command(tmp_path):
     assert (signals.fault_estimate_mps2 == quiet.fault_estimate_mps2).all()
     times = [float(line.split()[0][1:-1]) for line in log.read_text().splitlines()]
     assert times == sorted(times)
-
-
-def test_random_payloads_on_the_rigs_own_identifiers_are_rejected_and_counted(
-    tmp_path, monkeypatch, signals_as_before
-):
-    """From before the run until after it, on all five; run.json has how many, of each."""
-    wanted = frames(record(tmp_path, LONGER)[0])
-    folder = tmp_path / "run"
-    monkeypatch.setattr(
-        "can_rig.results.report.page.draw_report", lambda file, *_: file.touch()
-    )  # slow
-    with ExitStack() as stack:
-        for identifier in ("100", "101", *COMMANDS):
-            spray = ("cangen", "vcan0", "-I", identifier, "-L", 8, "-D", "r", "-g", 25)
-            stack.enter_context(beside(*spray, listens=False))
-        words = ["--set", LONGER, "--bus", BUS, "--in-process", "--out", str(folder)]
-        done = CliRunner().invoke(main, ["run", "thesis-step", *words])
-    assert done.exit_code == 0, done.output
-    seen = frames(folder / LOG)
-    assert only("T", seen) == only("T", wanted)
-    assert contains_in_order(seen, wanted)
-    summary = json.loads((folder / SUMMARY).read_text())
-    del seen[seen.index(wanted[-1]) + 1 :]  # what was read after the end was not judged
-    for identifier, name in zip(COMMANDS, NAMES[2:], strict=True):
-        mine = [each for each in seen if each[0].startswith(identifier + "#")]
-        sprayed = len(mine) - 800
-        assert sprayed > 0
-        assert sum(summary["rejected_frames"][name].values()) == sprayed
-    assert sum(summary["rejected_frames"]["DSTAR_FEEDBACK"].values()) > 0
-    quiet = load("thesis-step", [LONGER])
-    expected = read_signals(tmp_path / "0.log", network_of(quiet), quiet.tick_s)
-    expected.write_csv(tmp_path / SIGNALS, quiet.plant)
-    mine, alone = ((each / SIGNALS).read_text().splitlines() for each in (folder, tmp_path))
-    assert len(mine) == len(alone)
-    assert all(a.startswith(b) for a, b in zip(mine, alone, strict=True))
 
 
 # --- a gateway that breaks things --------------------------------------------------------------
@@ -255,12 +196,6 @@ def without_torque(log):
     return [each for each in frames(log) if not each[0].startswith("110#")]
 
 
-def test_a_gateway_is_no_fault(gateway, tmp_path):
-    log = tmp_path / "gateway.log"
-    on_two_buses("socketcan:vcan1", BUS, log, SHORT)
-    assert log.read_bytes() == record(tmp_path, SHORT)[0].read_bytes()
-
-
 def test_a_gateway_that_drops_the_torque_frame_is_frames_missing(gateway, tmp_path):
     log = tmp_path / "gateway.log"
 
@@ -274,14 +209,12 @@ def test_a_gateway_that_drops_the_torque_frame_is_frames_missing(gateway, tmp_pa
     assert summary.rejected_frames[NAMES[2]] == {"no_new_data": 200}
 
 
-@pytest.mark.parametrize("byte", [0, 5])
-def test_a_gateway_that_modifies_the_torque_frame_is_frames_corrupted(byte, gateway, tmp_path):
+def test_a_gateway_that_modifies_the_torque_frame_is_frames_corrupted(gateway, tmp_path):
     log = tmp_path / "gateway.log"
-    change = ("-m", f"XOR:D:0.0.{'00' * byte}5A{'00' * (7 - byte)}")
 
     def at_100(tick):
         if tick == 100:
-            gateway(*change)
+            gateway("-m", f"XOR:D:0.0.{'00' * 5}5A{'00' * 2}")
 
     summary = on_two_buses("socketcan:vcan1", BUS, log, SHORT, on_tick=at_100)
     corrupted = record(tmp_path, SHORT, "fault.kind=frames-corrupted", "fault.at_s=0.1")[0]

@@ -11,8 +11,10 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.controllers.making import controller_of
-from can_rig.controllers.our_law import PYTHON
+from can_rig.controllers.our_law import PYTHON, OurLaw
+from can_rig.controllers.protocol import Answer, InNode, Inputs
 from can_rig.frames.codec import Transmitter
+from can_rig.frames.operator_frames import Command, taken_message
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.lockstep import ControllerNode
@@ -25,6 +27,7 @@ from can_rig.results.report.web_page import panels
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import speeds_at_ticks
+from firmware_model.firmware import PYTHON_LAW
 from tests.helpers import asked, decoded, rig
 
 DRIVE = (
@@ -140,6 +143,27 @@ def commands(change: Change, ticks: range) -> tuple[list[bytes], ControllerNode]
         for message in ([speed] if speed else []) + others:
             node.take(message)
     return sent, node
+
+
+def test_the_controller_is_told_every_intact_speed_the_first_too() -> None:
+    heard: list[float] = []
+
+    class Listening(OurLaw):
+        def step(self, inputs: Inputs) -> Answer:
+            heard.append(inputs.speed_mps)
+            return super().step(inputs)
+
+    controller = InNode(lambda scenario, network: Listening(scenario, network, PYTHON_LAW))
+    node = ControllerNode(SCENARIO, NETWORK, lambda _message: None, controller)
+    assert node.take(taken_message(Command("PAUSE"), 5)) is False  # answers no tick
+    assert NETWORK.speed is not None
+    ends = [Transmitter(codec) for codec in (NETWORK.speed, NETWORK.reference, NETWORK.feedback)]
+    for tick, speed_mps in enumerate((8.0, 9.0, 10.0, 11.0)):
+        values = (speed_mps, 0.0, 0.0)
+        frames = [end.frame(value, tick) for end, value in zip(ends, values, strict=True)]
+        frames[0].data[5] ^= tick == 2
+        assert [node.take(frame) for frame in frames] == [False, False, True]
+    np.testing.assert_array_equal(heard, [8.0, 9.0, np.nan, 11.0])
 
 
 def test_without_a_good_frame_the_last_speed_is_held() -> None:

@@ -54,16 +54,6 @@ def test_a_node_that_hangs_is_named_and_does_not_stay(thesis_step):
     folder_is_complete(log.parent, victim)
 
 
-def test_a_node_that_is_stopped_for_less_than_the_watchdog_goes_on(thesis_step):
-    process, log, nodes = thesis_step
-    os.kill(nodes["controller"], signal.SIGSTOP)
-    time.sleep(0.4)
-    before = lines_of(log)
-    os.kill(nodes["controller"], signal.SIGCONT)
-    wait_for(lambda: lines_of(log) > before + 500)
-    assert process.poll() is None
-
-
 @pytest.mark.parametrize("how", ["the run", "its group, thrice"])
 def test_ctrl_c_ends_both_cleanly_and_leaves_a_complete_folder(how, thesis_step):
     process, log, nodes = thesis_step

@@ -24,22 +24,15 @@ from tests.clock import TurnedClock
 from tests.rig.nodes.ends import ANSWER, NETWORK, OFFER, SCENARIO, SINE, TICKS, Ends, order
 
 
-def test_the_controller_answers_every_tick_and_ends() -> None:
+@pytest.mark.parametrize(("node", "frames"), [("plant", OFFER), ("controller", ANSWER)])
+def test_a_node_sends_its_frames_of_every_tick_and_ends(node: str, frames: list[int]) -> None:
     ends = Ends()
-    assert ends.run_controller() == TICKS
+    assert getattr(ends, f"run_{node}")() == TICKS
     assert ends.ticks == list(range(1, TICKS + 1))
-    assert order(ends.sent_by_controller) == [(i, tick) for tick in range(TICKS) for i in ANSWER]
-    assert not ends.offers
+    sent = order(getattr(ends, f"sent_by_{node}"))
+    assert sent == [(i, tick) for tick in range(TICKS) for i in frames]
+    assert not (ends.answers if node == "plant" else ends.offers)
     assert not ends.stop.wanted  # it did not wait for more
-
-
-def test_the_plant_offers_every_tick_and_ends() -> None:
-    ends = Ends()
-    assert ends.run_plant() == TICKS
-    assert ends.ticks == list(range(1, TICKS + 1))
-    assert order(ends.sent_by_plant) == [(i, tick) for tick in range(TICKS) for i in OFFER]
-    assert not ends.answers
-    assert not ends.stop.wanted
 
 
 @pytest.mark.parametrize("node", ["plant", "controller"])

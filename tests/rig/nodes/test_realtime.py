@@ -9,12 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
-from can_rig.controllers.our_law import PYTHON, OurLaw
+from can_rig.controllers.our_law import OurLaw
 from can_rig.controllers.protocol import InNode
 from can_rig.errors import BusError, ScenarioError, SilentNodeError
 from can_rig.nodes.bus_access import StopRequest, Timeouts
-from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
-from can_rig.nodes.realtime.plant_node import RealTimePlantNode
+from can_rig.nodes.realtime.controller_node import warm_up
 from can_rig.nodes.realtime.timing import CATCH_UP_TICKS, Schedule
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
@@ -35,8 +34,10 @@ from tests.rig.nodes.world import (
 )
 
 
-@pytest.mark.parametrize("name", ["ideal", "noisy"])
-@pytest.mark.parametrize(("latency", "answer_ns"), [(1, 990_000), (2, 1_700_000), (3, 2_900_000)])
+@pytest.mark.parametrize(
+    ("name", "latency", "answer_ns"),
+    [("ideal", 1, 990_000), ("noisy", 2, 1_700_000), ("noisy", 3, 2_900_000)],
+)
 def test_where_nothing_is_late_commands_and_dstar_are_those_of_lockstep(
     name, latency, answer_ns, tmp_path
 ):
@@ -210,14 +211,6 @@ def test_a_stop_request_ends_between_two_ticks(tmp_path):
     assert len(log.read_text().splitlines()) == 5 * 18
 
 
-def test_a_latency_of_zero_is_refused_with_the_remedy():
-    scenario = load("thesis-step")
-    with pytest.raises(ScenarioError, match=r"latency_ticks = 0.*--set latency_ticks=1"):
-        RealTimePlantNode(scenario, network_of(scenario), None, None, None)
-    with pytest.raises(ScenarioError, match="latency_ticks = 0"):
-        RealTimeControllerNode(scenario, network_of(scenario), None, None, PYTHON)
-
-
 HOLD_TICKS, STEADY_NM = 10, 42.54  # of the actuators; for 1 m/s²
 # Of a pulse of the torque that was missing for the rest of 30 ticks, what D* shows before the first
 # command that may be another can act: the rest is made up for.
@@ -254,9 +247,9 @@ class Restart:
             self.alive = True
 
 
-@pytest.mark.parametrize("outage", [*range(200, 215), 60, 1000])
+@pytest.mark.parametrize("outage", [200, 204, 205, 206, 60, 1000])
 def test_a_restarted_controller_takes_over_without_a_bump(outage, tmp_path):
-    """Whatever the alive counter was, and whether the car rests or still moves."""
+    """Whatever the alive counter was (500 % 15 = 5), and whether the car rests or still moves."""
     killed = 500
     back = killed + outage
     scenario = scenario_of(f"duration_s={(back + 900) / 1000}", "latency_ticks=1")

@@ -281,29 +281,6 @@ def answered(scenario: Scenario, ticks: int | None = None) -> Delivery:
     return found
 
 
-@pytest.mark.parametrize("kind", ["none", "actuator-dead"])
-def test_without_a_fault_of_frames_all_arrive(kind: str) -> None:
-    found = answered(scenario_of(kind, 5, 3))
-    assert found.sent.all()
-    assert found.used.all()
-    assert len(found.damage) == 0
-    assert found.rejected == {name: {} for name in EACH}
-
-
-@pytest.mark.parametrize("channel", [0, 1])
-@pytest.mark.parametrize("first", [0, 1, 5, TICKS - 3])
-def test_missing_frames_are_missed_on_their_channel(first: int, channel: int) -> None:
-    found = answered(scenario_of("frames-missing", first, 3, channel))
-    lost = list(range(first, first + 3))
-    assert ticks_without(found.sent[:, channel]) == ticks_without(found.used[:, channel]) == lost
-    assert found.sent[:, 1 - channel].all()
-    assert found.used[:, 1 - channel].all()
-    assert len(found.damage) == 0
-    # Before its first frame a receiver misses none.
-    counts = {name: {} for name in EACH} | {NAMES[channel]: {"no_new_data": 3}}
-    assert found.rejected == counts
-
-
 @pytest.mark.parametrize("first", [1, 7])
 def test_after_a_gap_of_fourteen_the_counter_of_fifteen_stands_where_it_stood(first: int) -> None:
     """So the first frame that comes again looks like the last that came."""
@@ -311,26 +288,6 @@ def test_after_a_gap_of_fourteen_the_counter_of_fifteen_stands_where_it_stood(fi
     assert ticks_without(found.sent[:, 0]) == list(range(first, first + 14))
     assert ticks_without(found.used[:, 0]) == list(range(first, first + 15))
     assert found.rejected[NAMES[0]] == {"no_new_data": 14, "repeated": 1}
-
-
-@pytest.mark.parametrize("channel", [0, 1])
-def test_damaged_frames_are_sent_and_say_what_was_damaged(channel: int) -> None:
-    """The sending node does the same damage, whatever the value."""
-    scenario = scenario_of("frames-corrupted", 6, 9, channel)
-    found = answered(scenario)
-    assert found.sent.all()
-    assert ticks_without(found.used[:, channel]) == list(range(6, 15))
-    assert found.used[:, 1 - channel].all()
-    assert found.rejected[NAMES[channel]]["wrong_crc"] == 9
-    faults, transmitter = FrameFaults(scenario, NETWORK), Transmitter(COMMANDS[channel])
-    damage = []
-    for tick in range(15):
-        frame = transmitter.frame(123.0 * tick, tick)
-        before = np.frombuffer(bytes(frame.data), np.uint8)
-        (after,) = faults.on_the_wire(frame, channel, tick)
-        change = before ^ np.frombuffer(bytes(after.data), np.uint8)
-        damage += [[tick, channel, at, change[at]] for at in np.flatnonzero(change)]
-    assert found.damage.tolist() == damage
 
 
 @pytest.mark.parametrize("ticks", [0, 5, 7, 20])
@@ -345,25 +302,6 @@ def faults_of(*settings: str) -> Delivery:
     return answered(
         load("thesis-step", [f"duration_s={TICKS / 1000}", "fault.at_s=0.005", *settings])
     )
-
-
-@pytest.mark.parametrize("place", range(3))
-def test_what_is_forged_is_used_in_place_of_what_was_sent(place: int) -> None:
-    found = faults_of(
-        "fault.kind=frames-forged", f"fault.channel={PLACES[place]}", "fault.for_s=0.003",
-        "fault.value=-1.5",
-    )  # fmt: skip
-    assert found.replaced == {(tick, place): pytest.approx(-1.5) for tick in range(5, 8)}
-    assert found.used.all()
-
-
-def test_where_the_measurement_is_missing_nothing_is_used_and_no_command_says_anything_else() -> (
-    None
-):
-    found = faults_of("fault.kind=frames-missing", "fault.channel=sensor", "fault.for_s=0.003")
-    assert sorted(found.replaced) == [(tick, 2) for tick in range(5, 8)]
-    assert np.isnan(list(found.replaced.values())).all()
-    assert faults_of("fault.kind=frames-missing", "fault.for_s=0.003").replaced == {}
 
 
 @pytest.mark.parametrize("order", [(5, 50), (50, 5)])

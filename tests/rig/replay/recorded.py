@@ -79,9 +79,9 @@ def replayed(name: str, scenario: Scenario, law: Law) -> OpenLoop:
 class WithRecordedConstants:
     """A law that runs from the constants of a drive; see ``firmware_model.firmware.Law``."""
 
-    def __init__(self, name: str, law: Law = PYTHON_LAW) -> None:
+    def __init__(self, name: str) -> None:
         self._constants = recorded(name)
-        self._law = law
+        self._law = PYTHON_LAW
 
     def init(self, table: Any) -> RecordArray:
         """See ``Law``."""

@@ -90,16 +90,15 @@ def test_the_old_run_stands_until_the_new_one_is_whole(there: Path, tmp_path: Pa
     assert [path.name for path in tmp_path.iterdir()] == ["demo"]
 
 
-@pytest.mark.parametrize("writer", [(Path, "write_text"), (Figure, "savefig")], ids=str)
 def test_where_the_closing_files_cannot_be_written_both_runs_are_kept(
-    writer: tuple[type, str], there: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    there: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: Any, **__: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     before = contents(there)
     with monkeypatch.context() as patch:
-        patch.setattr(*writer, full)
+        patch.setattr(Figure, "savefig", full)
         with pytest.raises(RunFolderError, match="No space left on device") as caught:
             execute(SCENARIO, there, StopRequest(), Options(force=True))
     unfinished = tmp_path / "demo.unfinished"

@@ -28,7 +28,6 @@ CASES = {
         "fault.at_s=0.2",
         "fault.for_s=0.3",
     ],
-    "sensor": ["fault.kind=sensor-stuck", "fault.at_s=0.2", "fault.for_s=0.05"],
     "frames": ["fault.kind=frames-missing", "fault.at_s=0.2", "design.feedback=false"],
     "drive": ["drive.ramps=[[0.0, 27.0], [0.7, 27.5]]", "design.speeds_mps=[27, 28]"],
     "class": ["plant.kind=tests.rig.plant.linear:LinearPlant", "fault.at_s=0.2"],
@@ -52,7 +51,7 @@ def run(folder: Path, *settings: str, bus: str | None = None) -> Execution:
 
 @pytest.mark.parametrize(
     ("case", "bus"),
-    [*((case, None) for case in CASES), ("noise", "virtual:long"), ("frames", "virtual:long")],
+    [*((case, None) for case in CASES), ("noise", "virtual:long")],
 )
 def test_a_long_run_says_what_a_short_one_says(
     case: str, bus: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

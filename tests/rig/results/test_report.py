@@ -10,34 +10,28 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from can_rig.assessment.resolve import load
-from can_rig.controllers.our_law import PYTHON
 from can_rig.drawing.style import SHADE
-from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.realtime.timing import Timing
-from can_rig.nodes.runner import run_in_process
 from can_rig.results.metrics import metrics, rows
 from can_rig.results.report import page as report
 from can_rig.results.run_folder import Outcome, finish
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
+from tests.helpers import record
 
 pytestmark = pytest.mark.filterwarnings("error")
 SHORT = ["duration_s=0.2", "fault.at_s=0.1"]
 
 
-def recorded(folder: Path, scenario: Scenario) -> Signals:
-    log = folder / "bus.log"
-    run_in_process(
-        scenario, f"local:report-{folder.name}", log, StopRequest(), lambda tick: None, PYTHON
-    )
-    return read_signals(log, network_of(scenario), scenario.tick_s)
+def recorded(folder: Path, *settings: str, name: str = "default") -> tuple[Scenario, Signals]:
+    log, _, scenario = record(folder, *SHORT, *settings, name=name)
+    return scenario, read_signals(log, network_of(scenario), scenario.tick_s)
 
 
 def drawn(folder: Path, name: str, *settings: str) -> Figure:
-    scenario = load(name, [*SHORT, *settings])
-    return report.page(scenario, network_of(scenario), recorded(folder, scenario))
+    scenario, signals = recorded(folder, *settings, name=name)
+    return report.page(scenario, network_of(scenario), signals)
 
 
 def test_title_and_units_say_what_was_run(tmp_path: Path) -> None:
@@ -111,21 +105,17 @@ def test_the_curves_differ_in_grey(tmp_path: Path) -> None:
     assert styles[0] != styles[1]
 
 
-@pytest.fixture(scope="module", params=["thesis-step", "chapter-2", "no-compensation"])
-def noisy(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Scenario, list[str]]:
-    scenario = load(request.param, [*SHORT, "plant.sensor.noise_mps2=0.005"])
-    log = tmp_path_factory.mktemp("noisy") / "bus.log"
-    run_in_process(scenario, "local:noisy", log, StopRequest(), lambda tick: None, PYTHON)
-    return scenario, log.read_text().splitlines(keepends=True)
-
-
-@pytest.mark.parametrize("frames", [0, 1, 5, 499, 503])
-def test_every_run_that_ends_early_is_reported(
-    tmp_path: Path, noisy: tuple[Scenario, list[str]], frames: int
-) -> None:
-    scenario, lines = noisy
+@pytest.mark.parametrize(
+    ("name", "frames"),
+    [
+        *(("thesis-step", frames) for frames in (0, 1, 5, 499, 503)),
+        ("chapter-2", 503),
+        ("no-compensation", 499),
+    ],
+)
+def test_every_run_that_ends_early_is_reported(tmp_path: Path, name: str, frames: int) -> None:
+    log, _, scenario = record(tmp_path, *SHORT, "plant.sensor.noise_mps2=0.005", name=name)
+    lines = log.read_text().splitlines(keepends=True)
     (tmp_path / "bus.log").write_text("".join(lines[:frames]) + lines[frames][:25])
     finish(tmp_path, scenario, network_of(scenario), Outcome("local"))
     assert (tmp_path / "report.png").read_bytes().startswith(b"\x89PNG")
@@ -134,8 +124,9 @@ def test_every_run_that_ends_early_is_reported(
     assert (metrics["deviation_peak_after_fault_mps2"] is not None) == (frames > 501)
 
 
-@pytest.mark.parametrize("kind", ["frames-missing", "frames-corrupted"])
-@pytest.mark.parametrize("channel", ["torque", "force-difference"])
+@pytest.mark.parametrize(
+    ("kind", "channel"), [("frames-missing", "torque"), ("frames-corrupted", "force-difference")]
+)
 def test_lost_frames_are_gaps_in_the_command(tmp_path: Path, kind: str, channel: str) -> None:
     page = drawn(
         tmp_path,
@@ -153,8 +144,7 @@ def test_a_real_time_run_shows_how_late_it_was(tmp_path: Path) -> None:
     timing = Timing(1_000_000)
     for tick, late_ns in enumerate([15_000, 15_000, 15_000, 3_000_000], start=1):
         timing.woke(tick, late_ns)
-    scenario = load("default", SHORT)
-    signals = recorded(tmp_path, scenario)
+    scenario, signals = recorded(tmp_path)
     page = report.page(scenario, network_of(scenario), signals, timing.as_dict())
     assert len(page.axes) == len(report.page(scenario, network_of(scenario), signals).axes) + 1
     (axis,) = (axis for axis in page.axes if "µs" in axis.get_xlabel())
@@ -176,13 +166,10 @@ def test_what_the_dead_motor_applies_is_shown_beside_its_command(tmp_path: Path)
 
 def test_a_thin_line_is_the_run_without_compensation(tmp_path: Path) -> None:
     """From the fault on, and as a run through the bus has it."""
-    for name in ("with", "without"):
-        (tmp_path / name).mkdir()
     kind = ("fault.kind=frames-missing", "plant.sensor.noise_mps2=0.001")
-    output = drawn(tmp_path / "with", "default", *kind).axes[0]
+    output = drawn(tmp_path, "default", *kind).axes[0]
     thin = next(line for line in output.lines if line.get_label() == "D* without compensation")
-    off = load("default", [*SHORT, *kind, "design.compensation=off"])
-    expected = recorded(tmp_path / "without", off)
+    off, expected = recorded(tmp_path, *kind, "design.compensation=off")
     np.testing.assert_allclose(np.asarray(thin.get_xdata()), expected.time_s[100:])
     np.testing.assert_allclose(np.asarray(thin.get_ydata()), expected.dstar_mps2[100:], atol=1e-6)
     assert thin.get_linewidth() < 0.5 * output.lines[0].get_linewidth()
@@ -201,9 +188,8 @@ def test_a_biased_sensor_is_shown_beside_the_car(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["default", "chapter-2"])
 def test_title_shade_panel_and_closing_table_use_one_name(tmp_path: Path, name: str) -> None:
-    scenario = load(name, [*SHORT, "fault.channel=force-difference"])
-    network, signals = network_of(scenario), recorded(tmp_path, scenario)
-    page = report.page(scenario, network, signals)
+    scenario, signals = recorded(tmp_path, "fault.channel=force-difference", name=name)
+    page = report.page(scenario, network_of(scenario), signals)
     lost = {"default": "rear force difference", "chapter-2": "input 2"}[name]
     assert f"{lost} lost at 0.1 s" in page.get_suptitle()
     assert [text.get_text() for text in page.axes[0].texts] == [f"{lost} lost"]
@@ -215,8 +201,7 @@ def test_title_shade_panel_and_closing_table_use_one_name(tmp_path: Path, name: 
 def test_the_title_says_what_of_the_plan_did_not_happen(tmp_path: Path) -> None:
     late = drawn(tmp_path, "thesis-step", "fault.at_s=0.5").get_suptitle()
     assert "lost at 0.5 s, after the end of the run" in late
-    scenario = load("thesis-step", SHORT)
-    log = tmp_path / "bus.log"
+    log, _, scenario = record(tmp_path, *SHORT)
     log.write_text("".join(log.read_text().splitlines(keepends=True)[: 5 * 50]))
     signals = read_signals(log, network_of(scenario), scenario.tick_s)
     short = report.page(scenario, network_of(scenario), signals).get_suptitle()

@@ -13,7 +13,6 @@ from can import LogReader
 
 from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import PYTHON
-from can_rig.errors import LogError
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.network import Network
 from can_rig.logs.columns import ON_THE_BUS as COLUMNS
@@ -199,22 +198,6 @@ def test_commands_before_any_tick_is_known_are_not_used(tmp_path: Path) -> None:
         data = Transmitter(codec).frame(0.5, 65535, 1).data.hex().upper()
         lines.append(f"(0.000002) vcan0 {codec.frame_id:03X}#{data} R\n")
     assert len(read(tmp_path, lines)) == 0
-
-
-@pytest.mark.parametrize("text", ["not a frame\n", "(x) vcan0 100#00\n", "(0) vcan0 100#0G\n"])
-def test_what_is_no_log_is_refused_with_its_line(
-    tmp_path: Path, lines: list[str], text: str
-) -> None:
-    with pytest.raises(LogError, match="line 3: not a frame"):
-        read(tmp_path, [*lines[:2], text, *lines[2:]])
-
-
-def test_a_log_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="no such file"):
-        read_signals(tmp_path / "bus.log", NETWORK, TICK_S)
-    (tmp_path / "bus.log").write_bytes(b"\xff\xfe\n")
-    with pytest.raises(LogError, match="line 1: not a frame"):
-        read_signals(tmp_path / "bus.log", NETWORK, TICK_S)
 
 
 def test_csv_has_the_contract_s_columns_and_empty_cells(tmp_path: Path, lines: list[str]) -> None:
