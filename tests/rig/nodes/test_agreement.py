@@ -11,6 +11,7 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.buses.bus import open_bus
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import BusError, RigError, ScenarioError
 from can_rig.frames.comparison_frames import ASKED, PRESENT, Comparison, ComparisonFrame, digest
