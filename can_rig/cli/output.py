@@ -12,12 +12,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from textwrap import wrap
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from can_rig.logs.frames import Frames, Log
+if TYPE_CHECKING:  # NumPy and python-can are not needed to print
+    from can_rig.logs.frames import Frames, Log
 
 WIDTH = 120
 """Least characters of a line of a wide table, wherever it goes."""

@@ -15,6 +15,7 @@ from can_rig.logs.columns import APPLIED, EVIDENCE, EVIDENCE_OF, TAKEN, TRUE_OUT
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import CONTROLLER, PLACES, RESTARTED, FaultSettings
 from can_rig.scenario.plant_settings import PlantSettings, SignalSettings
+from can_rig.scenario.sensor_settings import ECHOES, USUAL
 
 
 class Signal(NamedTuple):
@@ -205,6 +206,10 @@ def _columns(stems: Sequence[str], endings: Sequence[str]) -> dict[str, str]:
         TRUE_OUTPUT: f"true_{output}",
         APPLIED[0]: f"applied_{command_1}",
         APPLIED[1]: f"applied_{command_2}",
+        **{
+            USUAL[echo].column: f"{stem}_echo{ending}"
+            for echo, stem, ending in zip(ECHOES, stems[1:], endings[1:], strict=True)
+        },
         **{column: _evidence(column, stems) for column in EVIDENCE},
     }
 

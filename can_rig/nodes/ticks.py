@@ -30,10 +30,12 @@ class RunColumns:
     Attributes:
         frames: contents of the frames by the names of ``frameless.carried``, (ticks,) each.
         plant: the plant's report, by name; None: read the file beside the log.
+        sensors: what the further sensors say, by column.
     """
 
     frames: dict[str, FloatArray]
     plant: dict[str, FloatArray] | None
+    sensors: dict[str, FloatArray]
 
 
 @dataclass

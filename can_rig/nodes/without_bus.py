@@ -78,6 +78,7 @@ class RunWithoutBus:
         self._sensed = Sensed(scenario, sensors, reporting) if sensors else None
         self._frames: dict[str, FloatArray] = {}
         self._plant: dict[str, FloatArray] = {}
+        self._said: dict[str, FloatArray] = {}
         self._run = LoopInWindows(
             scenario,
             self._network,
@@ -110,9 +111,11 @@ class RunWithoutBus:
     def columns(self) -> RunColumns:
         """What the run carried."""
         done = slice(self.ticks)
-        frames = {name: column[done] for name, column in self._frames.items()}
-        plant = {name: column[done] for name, column in self._plant.items()}
-        return RunColumns(frames, None if self._linear is None else plant)
+        frames, plant, sensors = (
+            {name: column[done] for name, column in columns.items()}
+            for columns in (self._frames, self._plant, self._said)
+        )
+        return RunColumns(frames, None if self._linear is None else plant, sensors)
 
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""
@@ -187,6 +190,9 @@ class RunWithoutBus:
                 place = at, each.sensor
                 values[place], sent[place] = each.value, True
                 valid[place], samples[place] = each.valid, each.sample_tick % SAMPLE_TICKS
+        heard = np.where(valid, values, np.nan)
+        names = [each.usual.column for each in self._scenario.sensors]
+        self._keep(self._said, ticks, dict(zip(names, heard.T, strict=True)))
         counts = self._said_before + np.cumsum(sent, axis=0) - sent
         self._said_before += sent.sum(axis=0)
         frames = [

@@ -7,7 +7,7 @@ import time
 from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final
 
 import can
@@ -149,7 +149,8 @@ class LiveSignals:
         self._status = network.status
         names, says = names_of(scenario.plant), bool(network.status.verdicts)
         self._verdicts = {int(v): in_words(v, names) for v in Verdict if says}
-        self._rows = SignalRows(network, scenario.tick_s, max(1, scenario.latency_ticks))
+        shown = replace(network, witnesses=(), periods=())
+        self._rows = SignalRows(shown, scenario.tick_s, max(1, scenario.latency_ticks))
         bucket = max(1, round(BUCKET_S / scenario.tick_s))
         self._decimator = Decimator(bucket, len(COLUMNS))
         self._nodes = {

@@ -28,6 +28,7 @@ from can_rig.errors import RigError, ScenarioError, require
 from can_rig.logs.columns import TAKEN
 from can_rig.scenario.own_class import failure, find_class, guard, require_signature
 from can_rig.scenario.plant_settings import CAR, FMU, PlantSettings
+from can_rig.scenario.sensor_settings import USUAL
 from firmware_model.law.structs import FloatArray
 
 METHODS = {
@@ -35,6 +36,7 @@ METHODS = {
     "advance": "advance(dt_s, torque_nm, force_difference_n) -> dstar_mps2",
 }
 TRIAL_S = 0.001
+_OTHERS = {*TAKEN, *(each.column for each in USUAL.values())}
 
 
 @runtime_checkable
@@ -216,7 +218,7 @@ def _reported(kind: str, what: str, values: object) -> dict[str, float]:
     if not isinstance(values, Mapping):
         raise RigError(f"plant.kind = {kind!r}: {what} gives {values!r}: must be a dict")
     for name, value in values.items():
-        if not (isinstance(name, str) and name.isidentifier() and name not in TAKEN):
+        if not (isinstance(name, str) and name.isidentifier() and name not in _OTHERS):
             raise RigError(
                 f"plant.kind = {kind!r}: {what} names {name!r}: must be a name that no other "
                 "column has, of letters, digits and _, and end in its unit"

@@ -13,7 +13,7 @@ from can import Message
 
 from can_rig import paged
 from can_rig.drawing.names import column_names
-from can_rig.frames.codec import NO_DECISION, WIRE_TICKS, Receiver, tick_at, ticks_ahead
+from can_rig.frames.codec import NO_DECISION, WIRE_TICKS, Hearing, Receiver, tick_at, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.logs.columns import ON_THE_BUS
 from can_rig.logs.frames import ERROR, REMOTE
@@ -23,6 +23,7 @@ from can_rig.nodes.ticks import RunColumns
 from can_rig.plant.faults.frame_faults import Delivery
 from can_rig.plant.frameless import carried
 from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.sensor_settings import USUAL
 from firmware_model.analysis.simulation import Trace
 from firmware_model.law.structs import FloatArray
 
@@ -52,6 +53,8 @@ class Signals:
     """None: the status frame lacks a verdict."""
     plant: PlantSignals = field(default_factory=dict)
     """Further reports of the plant, by name; empty for a log without reports."""
+    sensors: PlantSignals = field(default_factory=dict)
+    """What the further sensors say, by column."""
     whose_fault: PlantSignals = field(default_factory=dict)
     """The verdict on the fault, and the evidence; see ``results.isolation``."""
 
@@ -71,17 +74,18 @@ class Signals:
             **columns,
             verdict=None if self.verdict is None else self.verdict[rows],
             plant={name: column[rows] for name, column in self.plant.items()},
+            sensors={name: column[rows] for name, column in self.sensors.items()},
             whose_fault={name: column[rows] for name, column in self.whose_fault.items()},
         )
 
     def write_csv(self, path: Path, plant: PlantSettings) -> None:
-        """Write the columns of frames, plant and verdict; an empty cell means nan.
+        """Write the columns of frames, plant, verdict and sensors; an empty cell means nan.
 
         Args:
             path: the file.
             plant: gives the names of the columns.
         """
-        further = self.plant | self.whose_fault
+        further = self.plant | self.whose_fault | self.sensors
         columns = [*(getattr(self, name) for name in ON_THE_BUS), *further.values()]
         names = column_names(plant, self.plant)
         header = [names.get(name, name) for name in (*ON_THE_BUS, *further)]
@@ -132,7 +136,7 @@ def signals_of_columns(columns: RunColumns, tick_s: float, log: Path) -> Signals
     """
     ticks = len(columns.frames["mode"]) if columns.frames else 0
     frames: Any = columns.frames
-    signals = Signals(time_s=times_s(0, ticks, tick_s), **frames)
+    signals = Signals(time_s=times_s(0, ticks, tick_s), **frames, sensors=columns.sensors)
     if columns.plant is None:
         return with_plant_signals(signals, log, tick_s)
     return replace(signals, plant=columns.plant)
@@ -168,7 +172,7 @@ def signals_of(
 ) -> Signals:
     """Signals of frames in order, time stamps in s; see ``read_signals``."""
     table = SignalRows(network, tick_s, in_time_ticks)
-    width, first_tick = ROLE_COLUMNS + CODES, None
+    width, first_tick = ROLE_COLUMNS + CODES + len(table.sensors), None
     with paged.rows_file(8 * width * paged.PAGED_ROWS) as file:
         for count, message in enumerate(messages):
             table.take(message)
@@ -179,8 +183,12 @@ def signals_of(
         paged.append(file, table.rows)
         columns: Any = paged.columns(file, width)
     ticks = len(columns[0])
-    verdict = columns[-1] if network.status.verdicts else None
-    return replace(Signals(times_s(first_tick, ticks, tick_s), *columns[:-1]), verdict=verdict)
+    verdict = columns[ROLE_COLUMNS + CODES - 1] if network.status.verdicts else None
+    return replace(
+        Signals(times_s(first_tick, ticks, tick_s), *columns[: ROLE_COLUMNS + CODES - 1]),
+        verdict=verdict,
+        sensors=dict(zip(table.sensors, columns[ROLE_COLUMNS + CODES :], strict=True)),
+    )
 
 
 def data_frames(log: Path) -> Iterator[Message]:
@@ -194,7 +202,7 @@ def data_frames(log: Path) -> Iterator[Message]:
 
 
 class SignalRows:
-    """Frames into rows, one a tick: a value for each frame in order, then the codes.
+    """Frames into rows, one a tick: a value for each frame in order, codes, further sensors.
 
     For the arguments see ``read_signals``.
     """
@@ -206,6 +214,12 @@ class SignalRows:
         self._in_time_ticks = in_time_ticks
         self._receivers = [Receiver(codec) for codec in network]
         self._by_id = {r.codec.frame_id: at for at, r in enumerate(self._receivers)}
+        self.sensors: Final = [
+            USUAL[codec.role.replace("_", "-")].column for codec in network.witnesses
+        ]
+        """Columns of the further sensors."""
+        timings = [(period, 0, 0) for period in network.periods]
+        self._hearing = Hearing(network.witnesses, timings, self.sensors)
         self._tick = -1
         self._marked = False
 
@@ -225,6 +239,8 @@ class SignalRows:
         """Use a frame, or ignore it."""
         at = self._by_id.get(message.arbitration_id)
         if at is None:
+            if self._hearing.concerns(message) and not (self._marked and message.is_rx):
+                self._hearing.take(message, None)
             return
         if at < OWN:  # once a frame is marked as sent, received ones are foreign
             self._marked |= not message.is_rx
@@ -247,7 +263,7 @@ class SignalRows:
             return
         if at == STATUS and receiver.codec.modes:
             decided = record.verdict != NO_DECISION
-            self.rows[row][-CODES:] = [
+            self.rows[row][ROLE_COLUMNS : ROLE_COLUMNS + CODES] = [
                 record.mode,
                 record.fault_state if decided else math.nan,
                 record.verdict if record.verdict < NO_DECISION else math.nan,
@@ -294,7 +310,9 @@ class SignalRows:
             self._tick = self.first_tick = tick_at(wire_tick, timestamp_s, self._tick_s)
             ahead = 1
         for _ in range(ahead):
-            self.rows.append([math.nan] * (ROLE_COLUMNS + CODES))
+            self.rows.append([math.nan] * (ROLE_COLUMNS + CODES + len(self.sensors)))
+        heard = self._hearing.end_tick(self._tick)
+        self.rows[-1][ROLE_COLUMNS + CODES :] = [heard[name] for name in self.sensors]
 
     def _end_ticks(self, at: int, ticks: int) -> None:
         """Tell a receiver the end of this tick, and of further ticks without a frame."""

@@ -13,6 +13,7 @@ from can_rig.logs.columns import EVIDENCE, SPEED, VERDICT
 from can_rig.logs.columns import ON_THE_BUS as COLUMNS
 from can_rig.plant.behind import plant_behind
 from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.sensor_settings import USUAL
 from tests.project.pages import table, text_of
 
 RESULTS = text_of("docs/results.md")
@@ -40,8 +41,9 @@ def names(heading: str) -> list[str]:
 
 def test_columns_of_signals() -> None:
     car = plant_behind(PlantSettings(), 0.001)
+    sensors = [each.column for each in USUAL.values()]
     reported = car.report(0.0, 0.0, 1.0, 1.0)
-    assert names("column") == [*COLUMNS, *reported, SPEED, VERDICT, *EVIDENCE]
+    assert names("column") == [*COLUMNS, *reported, SPEED, VERDICT, *EVIDENCE, *sensors]
 
 
 def test_keys_of_run_json(summary: dict[str, Any]) -> None:

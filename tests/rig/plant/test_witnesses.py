@@ -1,5 +1,6 @@
 """Further sensors: their frames against an integration by scipy, the loops, and bad input."""
 
+import csv
 import math
 
 import can
@@ -123,6 +124,25 @@ def test_a_run_has_the_same_frames_in_one_process_and_in_two(tmp_path):
     one = run(noisy, tmp_path / "one").read_bytes()
     assert run(noisy, tmp_path / "two", runner=two_processes).read_bytes() == one
     assert b"0F1#" in one
+
+
+def test_signals_have_a_column_for_each_sensor_behind_all_others(tmp_path):
+    found = frames(run(scenario(), tmp_path / "run"))
+    with (tmp_path / "run" / "signals.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    said = {
+        "measured_yaw_rate_rad_per_s": ("YAW_RATE", "YawRate"),
+        "measured_lateral_acceleration_mps2": ("LATERAL_ACCELERATION", "LateralAcceleration"),
+        "measured_steering_angle_rad": ("STEERING_ANGLE", "SteeringAngle"),
+        "torque_echo_nm": ("STEER_TORQUE_ECHO", "AppliedTorque"),
+    }
+    assert list(rows[0])[-len(said) :] == list(said)
+    for column, (name, signal) in said.items():
+        values = {tick: row[column] for tick, row in enumerate(rows) if row[column]}
+        sent = {round(time_s / TICK_S): signals[signal] for time_s, signals in found[name]}
+        assert values.keys() == sent.keys()
+        for tick, value in values.items():
+            assert float(value) == pytest.approx(sent[tick], rel=1e-8, abs=1e-12)
 
 
 def test_further_sensors_change_no_other_frame(tmp_path):

@@ -16,6 +16,7 @@ from can_rig.assessment.resolve import load
 from can_rig.drawing.names import column_names
 from can_rig.logs.columns import APPLIED, EVIDENCE, ON_THE_BUS, TAKEN, TRUE_OUTPUT
 from can_rig.scenario.plant_settings import SignalSettings
+from can_rig.scenario.sensor_settings import ECHOES, USUAL
 from can_rig.views.signal_table import read_table
 
 COLUMN = [
@@ -33,6 +34,8 @@ SAID = {
     "fault_estimate_mps2": "fault_estimate_percent",
     "true_dstar_mps2": "true_purity_percent",
     "applied_torque_nm": "applied_reflux_mol_per_s",
+    "torque_echo_nm": "reflux_echo_mol_per_s",
+    "force_difference_echo_n": "boil_up_echo_nm",
     "applied_force_difference_n": "applied_boil_up_nm",
     "evidence_torque_lost": "evidence_reflux_lost",
     "evidence_torque_offset": "evidence_reflux_offset",
@@ -74,7 +77,8 @@ def test_no_two_columns_have_one_name(words: tuple[str, str, str], unit: str) ->
     output, input_1, input_2 = (SignalSettings(word, unit) for word in words)
     plant = replace(CHAPTER_2, output=output, input_1=input_1, input_2=input_2)
     names = column_names(plant)
-    assert set(names) <= {*ON_THE_BUS, TRUE_OUTPUT, *APPLIED, *EVIDENCE}
+    echoes = {USUAL[echo].column for echo in ECHOES}
+    assert set(names) <= {*ON_THE_BUS, TRUE_OUTPUT, *APPLIED, *EVIDENCE, *echoes}
     others = [column for column in TAKEN if column not in names]
     assert len({*names.values(), *others}) == len(names) + len(others)
     assert all(re.fullmatch("[0-9a-z_]+", name) for name in names.values())
