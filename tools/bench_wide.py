@@ -6,7 +6,6 @@ Each runs as a process of its own, start and imports included; interleaved, medi
 
 from __future__ import annotations
 
-import os
 import shutil
 import statistics
 import subprocess
@@ -40,6 +39,15 @@ folder.mkdir()
 for name, values in rows.items():
     pandas.DataFrame(values).to_parquet(folder / f"{name}.parquet")
 """
+_MEASURED = """
+import os, subprocess, sys
+process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL)
+_, status, used = os.wait4(process.pid, 0)
+print(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+sys.exit(os.waitstatus_to_exitcode(status))
+"""
+"""A new process counts the memory of its parent as its own: so the parent is a small one."""
+
 _US_A_FRAME = 250
 
 
@@ -80,15 +88,13 @@ def random_frames(database: Database, count: int, path: Path) -> None:
 
 def cost(words: list[str], out: Path) -> Cost:
     """What a process takes that writes ``out``, which is removed."""
-    process = subprocess.Popen(words, stdout=subprocess.DEVNULL)
-    _, status, used = os.wait4(process.pid, 0)
-    if status:
-        raise SystemExit(f"{words} ended with {os.waitstatus_to_exitcode(status)}")
+    small = [sys.executable, "-c", _MEASURED, *words]
+    said = subprocess.run(small, stdout=subprocess.PIPE, text=True, check=True).stdout
     if out.is_dir():
         shutil.rmtree(out)
     else:
         out.unlink()
-    return Cost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+    return Cost(*map(float, said.split()))
 
 
 def bench_wide(dbc: Path | None, frames: int, rounds: int) -> None:

@@ -196,9 +196,12 @@ def open_bus(name: str, **kwargs: Any) -> can.BusABC:
             _check_carries_fd(str(channel))
     with _quiet():  # also while Python discards a half-opened bus together with the error
         try:
-            return can.Bus(
+            bus = can.Bus(
                 channel=channel, interface=interface, ignore_config=True, **{**arguments, **kwargs}
             )
+            if bus.channel_info == can.BusABC.channel_info:  # "unknown"
+                bus.channel_info = name
+            return bus
         except Exception as error:  # backends raise their driver library's exceptions
             reason = _explain(name, interface, channel, error)
     raise BusError(reason)

@@ -38,7 +38,9 @@ from can_rig.frames.comparison_frames import (
     ComparisonFrame,
     digest,
 )
+from can_rig.frames.network import EXTENDED_FLAG
 from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Clock, NodeBus, PersistentSender
+from can_rig.scenario.build import network_of
 from can_rig.scenario.plant_settings import FMU
 from can_rig.scenario.settings import LISTS, Scenario
 
@@ -47,7 +49,10 @@ UNSETTLED_S: Final = 5.0
 """How long a node waits for the key when it knows that the scenarios are not the same."""
 
 ANSWERED_S: Final = 0.25
-"""How long a rig waits, before its start, for an answer of another rig on the bus."""
+"""How long a rig waits, before its start, for an answer of another rig on a quiet bus."""
+
+BUSY_S: Final = 2.0
+"""How long the rig waits where frames of a rig are on the bus: a busy machine answers late."""
 
 OWN: Final = ("name", "description", "reference.file", "drive.file", "network.dbc")
 """Keys that say nothing about the run: what it is called, and where one node finds a file."""
@@ -218,22 +223,29 @@ def own_bus() -> str:
     return f"local:run-{os.getpid()}"
 
 
-def require_alone(scenario: Scenario, bus_name: str, fd: bool) -> None:
+def require_alone(scenario: Scenario, bus_name: str) -> None:
     """Refuse to start a rig where another rig or node is.
 
     Args:
         scenario: the rig's.
         bus_name: the bus that others can join.
-        fd: the bus carries CAN FD.
 
     Raises:
         BusError: an answer from another plant or controller node, or a missing bus.
     """
-    identifiers = [ComparisonFrame(each).frame_id for each in SENDERS]
-    with open_for_node(bus_name, identifiers, False, fd) as bus:
+    network = network_of(scenario)
+    comparison = [ComparisonFrame(each).frame_id for each in SENDERS]
+    with open_for_node(bus_name, (*network.identifiers, *comparison), False, network.fd) as bus:
         for name in SENDERS:
             asking = Agreement(scenario, name, bus, SYSTEM_CLOCK)
             asking.ask()
-            end_ns = SYSTEM_CLOCK.now_ns() + round(ANSWERED_S / len(SENDERS) * NS_PER_S)
-            while (left_ns := end_ns - SYSTEM_CLOCK.now_ns()) > 0:
-                asking.recv(left_ns / NS_PER_S)
+            begin_ns, wait_s = SYSTEM_CLOCK.now_ns(), ANSWERED_S / len(SENDERS)
+            while (left_s := wait_s - (SYSTEM_CLOCK.now_ns() - begin_ns) / NS_PER_S) > 0:
+                frame = asking.recv(left_s)
+                if frame is None:
+                    continue
+                if (
+                    frame.arbitration_id | frame.is_extended_id * EXTENDED_FLAG
+                    in network.identifiers
+                ):
+                    wait_s = BUSY_S

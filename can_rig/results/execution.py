@@ -171,7 +171,7 @@ def execute(
         )
     out = out or default_folder("runs", scenario.name)
     if bus != NO_BUS and is_shared(bus):
-        require_alone(scenario, bus, network.fd)
+        require_alone(scenario, bus)
     with NewFolder.create(out, RUN_FOLDER, options.force) as folder:
         try:
             made_here, said = _with_reference(scenario, folder, options.reference_csv)

@@ -1,5 +1,6 @@
 """Two nodes that were started by hand: the same scenario, or one line each that names the key."""
 
+import math
 import signal
 import threading
 import time
@@ -10,14 +11,22 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.buses.bus import open_bus
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import BusError, RigError, ScenarioError
 from can_rig.frames.comparison_frames import ASKED, PRESENT, Comparison, ComparisonFrame, digest
 from can_rig.nodes import runner
-from can_rig.nodes.agreement import UNSETTLED_S, Agreement, keys_of
+from can_rig.nodes.agreement import (
+    ANSWERED_S,
+    UNSETTLED_S,
+    Agreement,
+    keys_of,
+    require_alone,
+)
 from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.runner import RunOptions, run_controller, run_plant
 from can_rig.scenario import shipped
+from can_rig.scenario.build import network_of
 from tests.clock import TurnedClock
 from tests.helpers import DBC, NAMES, record, start
 from tests.rig.nodes.running import one_line
@@ -280,6 +289,38 @@ def test_a_rig_on_the_bus_of_another_is_refused_and_the_first_goes_on(tmp_path):
     first.communicate(timeout=60)
     assert not (tmp_path / "2").exists()
     assert (tmp_path / "1" / "run.json").is_file()
+
+
+def test_a_busy_rig_that_answers_late_is_named_and_other_traffic_is_no_rig(tmp_path):
+    bus, scenario = f"local:{tmp_path}", load("thesis-step", [])
+    plant, ended, there = ComparisonFrame("plant"), threading.Event(), threading.Event()
+
+    def busy(identifier):
+        frame = can.Message(arbitration_id=identifier, is_extended_id=False, data=bytes(8))
+        answer_s = math.inf
+        with open_bus(bus) as own:
+            while not ended.is_set():
+                own.send(frame)
+                there.set()
+                heard = own.recv(0.01)
+                if heard is not None and plant.read(heard) is not None:
+                    answer_s = time.monotonic() + 2 * ANSWERED_S
+                if time.monotonic() > answer_s:
+                    own.send(plant.message(Comparison(PRESENT, 1)))
+
+    for identifier, refusal in (
+        (network_of(scenario).feedback.frame_id, pytest.raises(BusError, match="another plant")),
+        (0x7FF, nullcontext()),
+    ):
+        ended.clear()
+        there.clear()
+        thread = threading.Thread(target=busy, args=(identifier,))
+        thread.start()
+        there.wait()
+        with refusal:
+            require_alone(scenario, bus)
+        ended.set()
+        thread.join()
 
 
 @pytest.mark.parametrize("key", [0, 1, 60_000])
