@@ -191,11 +191,11 @@ def decision_figures(scenario: Scenario, network: Network) -> DecisionFigures:
     run = simulate(table, sample(plant, scenario.tick_s), drive, effectiveness=left)
     confirmed = run.fault_state[lost:] == FaultState.CONFIRMED
     found = np.flatnonzero(confirmed & ~confirmed[:1])  # none that stands from before
-    variance = float(table.mismatch.noise) / (1.0 - float(table.mismatch.colour) ** 2)
-    shows = math.sqrt(float(table.decision.confirm / table.decision.horizon * table.mismatch.noise))
+    heard = target(scenario, network)
+    shows = math.sqrt(float(table.decision.confirm / table.decision.shown * table.mismatch.noise))
     return DecisionFigures(
         expected_delay_s=float(found[0]) * scenario.tick_s if len(found) else None,
-        noise_mps2=math.sqrt(variance),
+        noise_mps2=math.hypot(heard.noise_rms, heard.resolution / math.sqrt(12.0)),
         least_torque_nm=shows / abs(n1.dc_gain) / (1.0 - _left(scenario)),
     )
 

@@ -15,7 +15,7 @@ from can_rig.logs.columns import APPLIED, EVIDENCE, EVIDENCE_OF, TAKEN, TRUE_OUT
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import CONTROLLER, PLACES, RESTARTED, FaultSettings
 from can_rig.scenario.plant_settings import PlantSettings, SignalSettings
-from can_rig.scenario.sensor_settings import ECHOES, USUAL
+from can_rig.scenario.sensor_settings import ECHOES, MEASURED, USUAL
 
 
 class Signal(NamedTuple):
@@ -41,6 +41,9 @@ class Names(NamedTuple):
         """The signal that ``fault`` takes away or falsifies; of a restart, the controller."""
         if fault.place == CONTROLLER:
             return Signal(CONTROLLER)
+        if fault.place in MEASURED:
+            units = ("rad/s", "m/s²", "rad", self.command_1.unit, self.command_2.unit)
+            return Signal(fault.place.replace("-", " "), units[MEASURED.index(fault.place)])
         return self[(1, 2, 0)[PLACES.index(fault.place)]]
 
 
@@ -149,7 +152,7 @@ def _size(fault: FaultSettings, names: Names) -> str:
     unit = names.hit_by(fault).unit
     a_second = f"{unit}/s".lstrip()
     sizes = {
-        "biased": ("by", fault.bias_mps2, unit),
+        "biased": ("by", fault.bias, unit),
         "offset": ("by", fault.offset, unit),
         "drift": ("by", fault.drift_per_s, a_second),
         "oscillating": ("by", fault.amplitude, unit),

@@ -31,6 +31,7 @@ from can_rig.export.law import parts_of, support
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.network import Network
 from firmware_model.firmware import PYTHON_LAW, Law
+from firmware_model.law.filters.whitener import WHITENER_SECTIONS
 from firmware_model.law.layout import precision_of, state_type, table_type
 from firmware_model.law.schedule import MAX_SPEEDS, Constants
 from firmware_model.law.schedule import State as BlendState
@@ -204,6 +205,7 @@ def random_table(
     estimator.shown_ticks_1 = estimator.latency_ticks + estimator.dead_ticks_1
     estimator.shown_ticks_2 = estimator.latency_ticks + estimator.dead_ticks_2
     cars.n = random.integers(0, 5)
+    table.mismatch.whitener.n = random.integers(0, WHITENER_SECTIONS + 1)
     table.mismatch.n = 0 if random.random() < 0.1 else cars.n + 3
     table.reference_shaper.enabled = random.integers(0, 2)
     table.compensator.on_confirmation = random.integers(0, 2)
@@ -230,7 +232,7 @@ def random_state(
         test.age = 2.0 * test.half_age + random.integers(-2, 3)
         test.half_information, test.information = np.sort(random.exponential(1.0, 2))
         if random.random() < 0.4:  # without evidence
-            test.delay[:], test.explained[:], test.previous_shown = 0.0, 0.0, 0.0
+            test.delay[:], test.explained[:] = 0.0, 0.0
     if random.random() < 0.3:
         state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
     state.mode, state.fault_state = random.integers(0, 4, 2)

@@ -13,6 +13,7 @@ from pydantic import Field, PositiveFloat
 from pydantic.dataclasses import dataclass
 
 from can_rig.scenario.plant_settings import STRICT
+from can_rig.scenario.sensor_settings import MEASURED, Measured
 
 FaultKind = Literal[
     "none",
@@ -83,13 +84,14 @@ WHERE_IT_IS: Final = ("actuator-stuck", "sensor-stuck")
 class FaultSettings:
     """One fault from ``at_s`` on, endless or for ``for_s`` seconds, at every ``every``-th tick.
 
-    ``channel`` names the place of an actuator fault or a frame fault. ``value``, ``offset``,
+    ``channel`` names the place of an actuator fault or a frame fault, or the further sensor of a
+    sensor fault. ``value``, ``offset``,
     ``drift_per_s``, ``amplitude`` and ``rate_per_s`` have the unit of the failing signal: N m, N or
     m/s².
     """
 
     kind: FaultKind = "none"
-    channel: Literal["torque", "force-difference", "sensor"] = "torque"
+    channel: Channel | Literal["sensor"] | Measured = "torque"
     at_s: Moment = 10.0
     for_s: Annotated[float, Field(gt=0.0, le=MAX_DURATION_S)] | None = None
     every: Annotated[int, Field(ge=1, le=1_000_000)] = 1
@@ -111,6 +113,17 @@ class FaultSettings:
             raise ValueError(
                 f"channel = {SENSOR!r}: must be torque or force-difference for {self.kind!r}"
             )
+        if self.channel in MEASURED:
+            if self.kind != "none" and not self.kind.startswith("sensor-"):
+                raise ValueError(
+                    f"channel = {self.channel!r}: must be one of {', '.join(PLACES)} for "
+                    f"{self.kind!r}"
+                )
+            if self.kind == "sensor-biased" and self.offset is None:
+                raise ValueError(
+                    f"offset: must be set for {self.kind!r} of {self.channel!r}, in the unit of "
+                    "that sensor"
+                )
         if self.kind == RESTARTED:
             if self.for_s is None:
                 raise ValueError(
@@ -122,10 +135,17 @@ class FaultSettings:
 
     @property
     def place(self) -> str:
-        """The failing place: one of ``PLACES``, or ``CONTROLLER``."""
+        """The failing place: one of ``PLACES``, a further sensor, or ``CONTROLLER``."""
         if self.kind == RESTARTED:
             return CONTROLLER
-        return SENSOR if self.kind.startswith("sensor-") else self.channel
+        if self.kind.startswith("sensor-") and self.channel not in MEASURED:
+            return SENSOR
+        return self.channel
+
+    @property
+    def bias(self) -> float:
+        """What a biased sensor reads too much, in its unit."""
+        return self.offset or 0.0 if self.channel in MEASURED else self.bias_mps2
 
     @property
     def acts_on_frames(self) -> bool:

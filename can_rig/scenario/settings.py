@@ -18,8 +18,8 @@ from pydantic.dataclasses import dataclass
 from can_rig.scenario.controller_settings import ControllerSettings
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import (
+    CHANNELS,
     MAX_DURATION_S,
-    SENSOR,
     FaultSettings,
     Moment,
     outages,
@@ -257,6 +257,7 @@ class BudgetSettings:
     ``box`` is the uncertainty of the car's mass, both cornering stiffnesses and speed, 0.2 for ±20
     %; ``actuator_box`` likewise for the lags of both actuators. At most ``false_alarms_per_hour``
     losses are confirmed by chance; ``suspicions_per_hour`` cause a compensation of a few ticks.
+    Wind, road and drifts move a healthy D* by ``disturbance_mps2`` (rms) within a second.
     With a peak |S| above ``peak_sensitivity``, or fewer than ``spare_ticks`` of further delay, a
     stable loop has a thin margin.
     """
@@ -265,6 +266,7 @@ class BudgetSettings:
     actuator_box: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     false_alarms_per_hour: PositiveFloat = 0.001
     suspicions_per_hour: PositiveFloat = 3600.0
+    disturbance_mps2: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     peak_sensitivity: Annotated[float, Field(gt=1.0)] = 5.0
     spare_ticks: NonNegativeInt = 0
 
@@ -439,7 +441,9 @@ class Scenario:
     @property
     def loss(self) -> FaultSettings:
         """The loss to prepare for: the first fault of a channel, otherwise a default loss."""
-        first = self.fault[0] if self.fault and self.fault[0].channel != SENSOR else FaultSettings()
+        first = (
+            self.fault[0] if self.fault and self.fault[0].channel in CHANNELS else FaultSettings()
+        )
         return next((fault for fault in self.faults if fault.loses_a_channel), first)
 
     @property
@@ -505,7 +509,17 @@ def _refuse_speeds(scenario: Scenario) -> None:
 
 
 def _refuse_sensors(scenario: Scenario) -> None:
-    """Refuse two sensors of one quantity, times between ticks, and quantities of another plant."""
+    """Refuse two sensors of one quantity, times between ticks, and quantities of another plant.
+
+    Refuse also faults of sensors that are not there.
+    """
+    there = [each.measures for each in scenario.sensor]
+    for fault in scenario.faults:
+        if fault.channel in MEASURED and fault.channel not in there:
+            raise ValueError(
+                f"fault.channel = {fault.channel!r}: must be a sensor of the scenario; it has "
+                f"{', '.join(there) or 'none'}"
+            )
     if scenario.sensor and scenario.network.signals:
         raise ValueError(
             "sensor: network.signals: must not be set; further sensors have messages in the rig's "

@@ -18,13 +18,14 @@ from firmware_model.discretisation.coprime import SampledFactors, sampled_factor
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin
+from firmware_model.discretisation.whitening import Whitening, whitening
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
 from firmware_model.law.fault_decision.hypotheses.frozen import Constants as FrozenConstants
-from firmware_model.law.filters import biquad
+from firmware_model.law.filters import biquad, whitener
 from firmware_model.law.filters.estimator import Constants as EstimatorConstants
 from firmware_model.law.layout import Table, table_type
-from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision
+from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SECTIONS
 
 AHEAD = 2.0  # least ratio of a found fault's evidence to faults at other places
 SENSOR_AHEAD = 3.0  # the ratio for a sensor fault, where an error costs a compensation
@@ -147,8 +148,6 @@ MOST_FORGOTTEN = 0.99  # in a tick: the rest divides the factors of P
 REMAINDER_S = 0.12  # time constant of the remainder beyond the first order
 WHITE = 0.1  # white part of the remainder
 RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's change of G1 u1
-# rms rounding error of a perfect sensor, in units of the measurement
-NO_NOISE: dict[Precision, float] = {"float64": 1e-9, "float32": 1e-6}
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
 
 
@@ -206,8 +205,9 @@ def build(design: ContinuousDesign, target: Target) -> Table:
         (table.shortfall_2, filters.estimator_2),
     ):
         shortfall.gain[: len(model.coefficients)] = make_up_gain(model)
-    _fill_decision(table, target)
-    _fill_mismatch(table, design, target)
+    white = whitening(filters.estimator_1, target)
+    _fill_decision(table, target, white)
+    _fill_mismatch(table, design, target, white)
     fill_hypotheses(table, target)
     table.safe_stop.duration = math.ceil(target.safe_stop_s / target.tick_s)
     tables.flags.writeable = False
@@ -222,7 +222,7 @@ def _factors(design: ContinuousDesign, target: Target) -> SampledFactors:
     return sampled_factors(channels, slowest, target.estimator, target.tick_s)
 
 
-def _fill_filter(cascade: biquad.Constants, sections: Sections) -> None:
+def _fill_filter(cascade: biquad.Constants | whitener.Constants, sections: Sections) -> None:
     cascade.n = len(sections.coefficients)
     cascade.coefficients[: cascade.n] = sections.coefficients
 
@@ -292,7 +292,7 @@ def _fill_compensator(
     table.bumpless_transfer.haste = HASTE
 
 
-def _fill_decision(table: Table, target: Target) -> None:
+def _fill_decision(table: Table, target: Target, white: Whitening) -> None:
     """Thresholds for a loss in d̂ and for the return."""
     decision, test = table.decision, table.sequential_test
     decision.confirm = max(target.evidence(target.false_alarms_per_hour), LEAST_EVIDENCE)
@@ -300,6 +300,7 @@ def _fill_decision(table: Table, target: Target) -> None:
     suspect = max(target.evidence(target.suspicions_per_hour), LEAST_EVIDENCE)
     decision.suspect = min(suspect, decision.confirm)
     decision.horizon = HORIZON_S / target.tick_s
+    decision.shown = white.energy(round(decision.horizon))
     table.loss_model.share_variance = SHARE_VARIANCE
     table.loss_model.doubt = DOUBT
     table.loss_model.least_doubt = LEAST_DOUBT if target.mismatch.cars else 0.0
@@ -313,7 +314,9 @@ def _fill_decision(table: Table, target: Target) -> None:
     test.deviations = DEVIATIONS if target.mismatch.cars else NEVER
 
 
-def _fill_mismatch(table: Table, design: ContinuousDesign, target: Target) -> None:
+def _fill_mismatch(
+    table: Table, design: ContinuousDesign, target: Target, white: Whitening
+) -> None:
     """Effect of other cars and noise on d̂."""
     constants, other, cars = table.mismatch, table.other_cars, target.mismatch.cars
     if len(cars) > MAX_DIRECTIONS:
@@ -342,13 +345,10 @@ def _fill_mismatch(table: Table, design: ContinuousDesign, target: Target) -> No
     constants.white = WHITE
     constants.rule = rule
     constants.fading = _memory(target, BEYOND_S) ** 2
-    a = target.noise_pole
-    rounding = target.resolution * target.resolution / 12.0
-    least = NO_NOISE[target.precision] ** 2
-    constants.noise = (
-        (1.0 - a * a) * target.noise_rms * target.noise_rms + (1.0 + a * a) * rounding + least
-    )
-    constants.colour = a
+    constants.noise = white.variance
+    _fill_filter(constants.whitener, white.sections)
+    slow_z = np.exp(1j * np.array([target.tick_s / REMAINDER_S]))
+    constants.remainder_shown = abs(white.sections(slow_z)[0])
 
 
 def _memory(target: Target, time_constant_s: float) -> float:

@@ -30,6 +30,8 @@ class Target:
         noise_rms: rms of a healthy measurement's noise, resolution included; noise without the
             colour of ``noise_pole`` counts as white.
         noise_pole: a of coloured noise, n(k) = a n(k-1) + white; 0 for white noise.
+        disturbance: rms change of a healthy measurement within a second by wind, road or drift, in
+            the measurement's unit; 0 for a plant that only its commands move.
         resolution: step of the measurement, bus rounding included.
         mismatch: cars different from the model; the default trusts the model.
         false_alarms_per_hour: losses confirmed by chance, at most.
@@ -54,6 +56,7 @@ class Target:
     lsb_2: float = 0.0
     noise_rms: float = 0.0
     noise_pole: float = 0.0
+    disturbance: float = 0.0
     resolution: float = 0.0
     mismatch: Mismatch = TRUSTED
     false_alarms_per_hour: float = 0.001
@@ -89,6 +92,7 @@ class Target:
             "lsb_1",
             "lsb_2",
             "noise_rms",
+            "disturbance",
             "resolution",
             "safe_stop_s",
         ):

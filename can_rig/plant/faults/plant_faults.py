@@ -51,7 +51,7 @@ ADDING: Final[dict[str, Added]] = {
     "actuator-offset": lambda fault, _: fault.offset or 0.0,
     "actuator-drift": _drift,
     "actuator-oscillating": _oscillation,
-    "sensor-biased": lambda fault, _: fault.bias_mps2,
+    "sensor-biased": lambda fault, _: fault.bias,
     "sensor-drift": _drift,
     "sensor-oscillating": _oscillation,
 }

@@ -75,6 +75,7 @@ class Constants(Struct):
     ]
     suspect: Annotated[float, "1", "evidence from which a loss is compensated provisionally"]
     horizon: Annotated[float, "tick", "time within which a new loss must show"]
+    shown: Annotated[float, "1", "energy of a constant of size 1 behind W within ``horizon``"]
 
 
 class State(Struct):
@@ -101,15 +102,13 @@ def decide(
     show_other_cars(table, state, acting_1, acting_2)
     before, w = state.fault_state, loss_shown(table, state)
     known = sensor_error_shown(table, state)
-    residual = residual + known
     predict_mismatch(table, state, model_1 + model_2, w, earlier_shown(table, state))
-    new = innovation(table.mismatch, state.mismatch, residual - state.loss_model.share * w)
+    new = innovation(table.mismatch, state.mismatch, residual, known, state.loss_model.share)
     follow_share(table.loss_model, state)
     share = table.sequential_test.share
     update_test(table, state, new, -known_share(state) if before == CONFIRMED else share)
     weigh_hypotheses(table, state, new, model_1 + model_2 - state.loss_model.share * w)
     if found_elsewhere(state.hypotheses):
-        state.mismatch.previous_residual += sensor_error_shown(table, state) - known
         acquit(table, state)
         return
     if before == CONFIRMED:
@@ -123,7 +122,7 @@ def decide(
         if before != SUSPECTED:
             begin_suspicion(table, state)
     else:
-        shows = constants.horizon * model_1 * model_1
+        shows = constants.shown * model_1 * model_1
         state.fault_state = CLEAR
         if shows < constants.confirm * state.mismatch.variance:
             state.fault_state = CANNOT_TELL

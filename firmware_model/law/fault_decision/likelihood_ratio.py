@@ -25,9 +25,10 @@ import numpy as np
 
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.covariance import MAX_STATES
-from firmware_model.law.filters import biquad
+from firmware_model.law.filters import biquad, whitener
 from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.filters.estimator import pending_command
+from firmware_model.law.filters.whitener import whiten
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
 
@@ -58,7 +59,7 @@ class State(Struct):
     ]
     delay: Annotated[FloatArray, "y", "ring of w on its way into d̂", (MAX_SHOWN_TICKS,)]
     previous_output: Annotated[float, "y", "w of the last tick"]
-    previous_shown: Annotated[float, "y", "w of the last tick as contained in d̂"]
+    white: Annotated[whitener.State, "y", "memory of W for w"]
     explained: Annotated[FloatArray, "1", "effect of w on θ", (MAX_STATES,)]
     age: Annotated[float, "tick", "since the start"]
     evidence: Annotated[float, "1", "g, log-likelihood ratio"]
@@ -81,8 +82,7 @@ def update_test(table: Table, state: layout.State, innovation: float, share: flo
     """Take in a tick; ``share`` is signed: above 0 a loss is looked for, below 0 a return."""
     test, mismatch = state.sequential_test, state.mismatch
     shown = candidate_shown(table, state)
-    signature = shown - table.mismatch.colour * test.previous_shown
-    test.previous_shown = shown
+    signature = whiten(table.mismatch.whitener, test.white, shown)
     for i in range(table.mismatch.n):
         signature -= mismatch.regressor[i] * test.explained[i]
     for i in range(table.mismatch.n):
@@ -136,7 +136,8 @@ def start_candidate(table: Table, state: layout.State) -> None:
     test.earlier.accumulators[:] = 0.0
     test.explained[:] = 0.0
     test.evidence = test.correlation = test.information = test.age = 0.0
-    test.previous_output = test.previous_shown = 0.0
+    test.previous_output = 0.0
+    test.white.memory[:] = 0.0
     test.half_age = test.half_information = 0.0
     for i in range(shown):
         command = pending_command(estimator, state.estimator, i)

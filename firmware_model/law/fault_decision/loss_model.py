@@ -131,6 +131,12 @@ def take_over_candidate(table: Table, state: layout.State, share: float, sign: f
             before = earlier * loss.channel_1.accumulators[i, j]
             loss.channel_1.accumulators[i, j] = before + sign * test.channel_1.accumulators[i, j]
             loss.earlier.accumulators[i, j] = test.earlier.accumulators[i, j]
+    white = state.mismatch.white
+    for i in range(table.mismatch.whitener.n):
+        for j in range(2):
+            before = earlier * white.lost.memory[i, j]
+            white.lost.memory[i, j] = before + sign * test.white.memory[i, j]
+            white.earlier.memory[i, j] = 0.0
     for i in range(table.estimator.shown_ticks_1):
         loss.delay[i] = earlier * loss.delay[i] + sign * test.delay[i]
     loss.previous_output = earlier * loss.previous_output + sign * test.previous_output

@@ -43,6 +43,8 @@ from firmware_model.law.fault_decision.covariance import (
     variance_of,
 )
 from firmware_model.law.fault_decision.covariance import State as CovarianceState
+from firmware_model.law.filters import whitener
+from firmware_model.law.filters.whitener import settle_whitener, whiten
 from firmware_model.law.precision import real
 from firmware_model.law.structs import FloatArray, Struct
 
@@ -68,7 +70,21 @@ class Constants(Struct):
     white: Annotated[float, "1", "white share of the remainder's variance"]
     fading: Annotated[float, "1", "factor per tick of M and of the largest extent"]
     noise: Annotated[float, "y²", "variance of the whitened noise of a tick"]
-    colour: Annotated[float, "1", "a of the noise, n(k) = a n(k-1) + white"]
+    whitener: Annotated[whitener.Constants, "1", "W"]
+    remainder_shown: Annotated[float, "1", "x of the remainder: size of W for its time constant"]
+
+
+class White(Struct):
+    """The memories of W, one for each signal."""
+
+    lost: Annotated[whitener.State, "y", "w of a confirmed loss"]
+    earlier: Annotated[whitener.State, "y", "change of w with the moment of the loss"]
+    car_1: Annotated[whitener.State, "y", "x of the first other car"]
+    car_2: Annotated[whitener.State, "y", "of the second"]
+    car_3: Annotated[whitener.State, "y", "of the third"]
+    car_4: Annotated[whitener.State, "y", "of the fourth"]
+    d_hat: Annotated[whitener.State, "y", "d̂"]
+    sensor_error: Annotated[whitener.State, "y", "known error of the sensor"]
 
 
 class State(Struct):
@@ -76,6 +92,7 @@ class State(Struct):
 
     x: Annotated[FloatArray, "y", "x of the last tick", SIZES]
     regressor: Annotated[FloatArray, "y", "x of this tick, whitened", SIZES]
+    white: Annotated[White, "y", "memories of W"]
     theta: Annotated[FloatArray, "1", "θ", SIZES]
     covariance: Annotated[CovarianceState, "1", "P"]
     gain: Annotated[FloatArray, "1/y", "gain of the last update of θ", SIZES]
@@ -103,20 +120,27 @@ def predict_mismatch(
         earlier: the change of w if the loss were one tick older.
     """
     constants, mismatch, shown = table.mismatch, state.mismatch, state.other_cars.shown
-    a, x, previous = constants.colour, mismatch.regressor, mismatch.x
+    x, previous, w, white = mismatch.regressor, mismatch.x, constants.whitener, mismatch.white
     extent = change = real(0.0, model_output)
-    x[0] = lost - a * previous[0]
-    x[1] = earlier - a * previous[1]
+    x[0] = whiten(w, white.lost, lost)
+    x[1] = whiten(w, white.earlier, earlier)
     previous[0], previous[1] = lost, earlier
     for i in range(table.other_cars.n):
         k, now = LOSS_STATES + i, shown[i]
-        x[k] = now - a * previous[k]
         moved = now - previous[k]
         previous[k] = now
         extent += now * now
         change += moved * moved
+    if table.other_cars.n > 0:
+        x[LOSS_STATES] = whiten(w, white.car_1, shown[0])
+    if table.other_cars.n > 1:
+        x[LOSS_STATES + 1] = whiten(w, white.car_2, shown[1])
+    if table.other_cars.n > 2:
+        x[LOSS_STATES + 2] = whiten(w, white.car_3, shown[2])
+    if table.other_cars.n > 3:
+        x[LOSS_STATES + 3] = whiten(w, white.car_4, shown[3])
     if constants.n > LOSS_STATES:
-        x[constants.n - 1] = real(1.0, model_output) - a
+        x[constants.n - 1] = constants.remainder_shown
     moved = model_output - mismatch.previous_model_output
     mismatch.previous_model_output = model_output
     fading, motion = constants.fading, constants.motion
@@ -147,15 +171,27 @@ def finite(value: float) -> float:
 
 
 @firmware
-def innovation(constants: Constants, state: State, residual: float) -> float:
-    """Return the innovation of ``residual`` (d̂ minus the known loss); θ and P are updated.
+def innovation(
+    constants: Constants, state: State, residual: float, known: float, share: float
+) -> float:
+    """Return the innovation of this tick; θ and P are updated.
 
     Leaves the gain in ``state.gain`` and the innovation's variance in ``state.variance``.
+
+    Args:
+        constants: of this module.
+        state: of this module, after ``predict_mismatch``; changed in place.
+        residual: d̂.
+        known: the part of d̂ that a known sensor error hides.
+        share: of the known loss in d̂.
     """
     n, x, gain = constants.n, state.regressor, state.gain
     theta, memory = state.theta, state.memory
-    new: float = residual - constants.colour * state.previous_residual
-    state.previous_residual = residual
+    w = constants.whitener
+    shown = whiten(w, state.white.d_hat, residual)
+    hidden = whiten(w, state.white.sensor_error, known)
+    new: float = shown + hidden - share * x[0]
+    state.previous_residual = residual + known - share * state.x[0]
     for i in range(n):
         new -= x[i] * theta[i]
     noise = constants.noise + constants.white * state.remainder
@@ -185,6 +221,11 @@ def clear_mismatch(constants: Constants, state: State) -> None:
     state.extent = state.change = state.rule = state.remainder = 0.0
     state.previous_model_output = 0.0
     state.previous_residual = 0.0
+    white = state.white
+    white.lost.memory[:] = white.earlier.memory[:] = 0.0
+    white.car_1.memory[:] = white.car_2.memory[:] = 0.0
+    white.car_3.memory[:] = white.car_4.memory[:] = 0.0
+    white.d_hat.memory[:] = white.sensor_error.memory[:] = 0.0
 
 
 @firmware
@@ -193,6 +234,11 @@ def settle_mismatch(table: Table, state: layout.State, model_output: float) -> N
     clear_mismatch(table.mismatch, state.mismatch)
     zero = real(0.0, model_output)
     predict_mismatch(table, state, model_output, zero, zero)
+    w, white, shown = table.mismatch.whitener, state.mismatch.white, state.other_cars.shown
+    settle_whitener(w, white.car_1, shown[0])
+    settle_whitener(w, white.car_2, shown[1])
+    settle_whitener(w, white.car_3, shown[2])
+    settle_whitener(w, white.car_4, shown[3])
     state.mismatch.change = state.mismatch.rule = state.mismatch.remainder = (
         0.0  # it came there long ago
     )
@@ -215,5 +261,4 @@ def learn_loss(state: State, share: float, moment: float) -> None:
         moment: variance of the moment, in ticks².
     """
     state.theta[:LOSS_STATES] = 0.0
-    state.x[:LOSS_STATES] = 0.0
     replace_loss(state.covariance, share, moment)

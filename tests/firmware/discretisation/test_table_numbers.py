@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import signal
 
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
 from firmware_model.design.mismatch import Mismatch
@@ -17,6 +16,7 @@ from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
+from firmware_model.discretisation.whitening import whitening
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.law.structs import MAX_SECTIONS
 from tests.firmware.law.cases import other_cars
@@ -112,22 +112,19 @@ def test_the_share_of_a_loss_is_followed_by_lags_of_some_ticks(tick_s: float, la
     assert constants.moment == 0.5
 
 
-@pytest.mark.parametrize("colour", [0.0, 0.7])
-@pytest.mark.parametrize("resolution", [0.0, 0.05, 3.0])
-def test_noise_is_that_of_the_sensor_and_of_its_steps_whitened(
-    resolution: float, colour: float
-) -> None:
-    """Variance of n(k) - a n(k-1), by a large sample of each."""
-    constants = build(
-        CLOSED, Target(1e-3, noise_rms=0.02, noise_pole=colour, resolution=resolution)
-    ).mismatch
-    draw, size = np.random.default_rng(1), 400_000
-    white = 0.02 * math.sqrt(1.0 - colour**2) * draw.standard_normal(size)
-    steps = resolution * draw.uniform(-0.5, 0.5, size)
-    noise = signal.lfilter([1.0], [1.0, -colour], white) + steps
-    whitened = noise[1:] - colour * noise[:-1]
-    assert constants.noise == pytest.approx(whitened.var(), rel=0.02)
-    assert constants.colour == colour
+@pytest.mark.parametrize("disturbance", [0.0, 0.4])
+def test_the_decision_gets_the_whitener_and_what_it_leaves(disturbance: float) -> None:
+    """The white noise, the energy of a constant within a second, and the remainder's size."""
+    target = Target(1e-3, noise_rms=0.02, noise_pole=0.7, disturbance=disturbance)
+    table = build(CLOSED, target)
+    expected = whitening(discretise(CLOSED, target).estimator_1, target)
+    whitener, count = table.mismatch.whitener, len(expected.sections.coefficients)
+    assert whitener.n == count > 0
+    np.testing.assert_array_equal(whitener.coefficients[:count], expected.sections.coefficients)
+    assert table.mismatch.noise == expected.variance
+    assert table.decision.shown == expected.energy(1000)
+    slow = abs(expected.sections(np.array([np.exp(1j * 1e-3 / 0.12)]))[0])
+    assert table.mismatch.remainder_shown == pytest.approx(slow)
 
 
 @pytest.mark.parametrize(("precision", "rms"), [("float64", 1e-9), ("float32", 1e-6)])

@@ -29,7 +29,7 @@ from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 NUMBERS: dict[str, dict[str, Any]] = {
-    "decision": {"confirm": 10.0, "recover": 50.0, "suspect": 4.0, "horizon": 100.0},
+    "decision": {"confirm": 10.0, "recover": 50.0, "suspect": 4.0, "shown": 100.0},
     "sequential_test": {"share": 0.8, "promising": 4.0, "deviations": 1e9},
     "loss_model": {"share_variance": 0.09, "doubt": 9.0, "least_doubt": 0.0, "moment": 0.5},
 }  # fmt: skip
@@ -104,7 +104,7 @@ def test_where_a_loss_would_not_show_within_the_horizon_it_cannot_tell(model_1: 
 
 
 def test_at_the_edge_itself_it_can() -> None:
-    table, state = begun(mismatch={"n": 0, "noise": 0.5}, decision={"confirm": 8.0, "horizon": 4.0})
+    table, state = begun(mismatch={"n": 0, "noise": 0.5}, decision={"confirm": 8.0, "shown": 4.0})
     assert tick(table, state, model_1=1.0) == CLEAR
     assert tick(table, state, model_1=np.nextafter(1.0, 0.0)) == CANNOT_TELL
 

@@ -42,7 +42,7 @@ def set_up(evidence: float, before: int, share: float, **changes: Any) -> tuple[
     table.mismatch.noise = 1e12  # far above the information of a tick
     table.mismatch.growth[:] = table.mismatch.forgetting[:] = 0.0
     table.loss_model.follow = 0.0
-    table.decision.horizon = 1e30
+    table.decision.shown = 1e30
     return table, state
 
 

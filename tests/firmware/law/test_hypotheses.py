@@ -54,7 +54,7 @@ def filtered(table: Any, residual: FloatArray, x: FloatArray) -> tuple[FloatArra
     n, rows = int(table.mismatch.n), []
     for k, value in enumerate(residual.tolist()):
         state.mismatch.regressor[:n] = x[k, :n]
-        rows.append(innovation(table.mismatch, state.mismatch, value))
+        rows.append(innovation(table.mismatch, state.mismatch, value, 0.0, 0.0))
     return np.array(rows), state
 
 
@@ -75,7 +75,8 @@ def test_a_signature_is_what_the_fault_changes_in_the_innovations(noise_pole: fl
     correlation = information = 0.0
     for k in range(TICKS):
         state.mismatch.regressor[:n] = x[k]
-        new = innovation(table.mismatch, state.mismatch, float(healthy[k] + size * shown[k]))
+        residual = float(healthy[k] + size * shown[k])
+        new = innovation(table.mismatch, state.mismatch, residual, 0.0, 0.0)
         assert new == pytest.approx(with_fault[k], rel=1e-12)
         take_in(table, state, own, limits, float(shown[k]), new)
         f = (with_fault[k] - without[k]) / size
@@ -168,22 +169,23 @@ def test_what_each_fault_adds_to_the_estimate() -> None:
         state.other_cars.command_2 = force[k]
         weigh_signatures(table, state, 0.0)
         rows.append(
-            [own[name].candidate.previous_shown
+            [own[name].candidate.information
              for name in ("torque_offset", "force_lost", "sensor_biased", "sensor_drifting")]
         )  # fmt: skip
         advance_signatures(table, state)
         if k == 0:  # the onset that is looked at: from now on
             begin_all(own)
             advance_signatures(table, state)
-    offset, lost, bias, drift = np.array(rows[1:]).T
+            rows = [[0.0] * 4]
+    offset, lost, bias, drift = np.diff(rows, axis=0).T  # squares of the signatures
     t = TICK_S * np.arange(1, TICKS)
     g1, g2 = ((channel.numerator(), channel.denominator()) for channel in (CAR.g1, CAR.g2))
     _, expected = signal.step(g1, T=np.concatenate([[0.0], t]))
-    np.testing.assert_allclose(offset, -expected[1:], rtol=1e-6, atol=1e-12)
-    np.testing.assert_array_equal(bias, -1.0)
-    np.testing.assert_array_equal(drift, -np.arange(1, TICKS))
+    np.testing.assert_allclose(offset, expected[1:] ** 2, rtol=1e-6, atol=1e-12)
+    np.testing.assert_array_equal(bias, 1.0)
+    np.testing.assert_array_equal(drift, np.arange(1, TICKS) ** 2)
     held = signal.dlsim(signal.cont2discrete(g2, TICK_S), force)[1].ravel()
-    np.testing.assert_allclose(lost, held[1:], rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(lost, held[1:] ** 2, rtol=1e-4, atol=1e-7)
 
 
 @pytest.mark.parametrize("moves", [False, True])

@@ -33,6 +33,7 @@ from firmware_model.law.fault_decision.loss_model import (
 )
 from firmware_model.law.filters.biquad import output
 from firmware_model.law.filters.estimator import advance_model
+from firmware_model.law.filters.whitener import whiten
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
 from tests.firmware.law.cases import CAR, TICK_S
@@ -55,6 +56,25 @@ def advance(table: Any, state: Any, command: float) -> None:
     advance_loss_model(table, state)
     advance_candidate(table, state)
     advance_model(table.estimator, state.estimator, command, 0.0)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_behind_the_whitener_s_w_is_continuous_too(sign: float) -> None:
+    """The innovation subtracts s W w: after the take-over the sum of both that were known."""
+    table = build(DESIGN, Target(TICK_S, noise_rms=0.01, noise_pole=0.6, disturbance=0.2))
+    state = controller.init(table)[0]
+    w, candidate = state.mismatch.white.lost, state.sequential_test.white
+    for old, new in np.random.default_rng(2).standard_normal((9, 2)):
+        whiten(table.mismatch.whitener, w, old)
+        whiten(table.mismatch.whitener, candidate, new)
+    state.loss_model.share = 0.5
+    apart, share = state.copy(), 0.8
+    take_over_candidate(table, state, share, sign)
+    signals = (state.mismatch.white.lost, apart.mismatch.white.lost, apart.sequential_test.white)
+    for _ in range(6):  # whatever comes: here, nothing
+        together, old, new = (whiten(table.mismatch.whitener, each, 0.0) for each in signals)
+        assert share * together == pytest.approx(0.5 * old + sign * share * new, abs=1e-12)
+        assert abs(together) > 1e-9
 
 
 def late(w: FloatArray, latency: int) -> FloatArray:

@@ -114,6 +114,8 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation: b
     for name in ("x", "theta", "extent", "change", "remainder", "previous_model_output",
                  "previous_residual", "rule"):  # fmt: skip
         known[name] = 0.0
+    for name in known.white.dtype.names:
+        known.white[name].memory[:] = 0.0
     known.covariance.upper[:] = 0.0
     known.covariance.variances[:] = [0.0, 0.0, 0.36, 0.36, 0.36, 0.36, 0.0]
     start_candidate(table, expected)

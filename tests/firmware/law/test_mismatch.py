@@ -33,6 +33,7 @@ from tests.firmware.law.cases import CAR, TICK_S, changed, covariance_of, other_
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 COLOUR, NOISE_RMS = 0.6, 0.01
+REMAINDER = abs(1.0 - COLOUR * np.exp(-1j * TICK_S / 0.12))  # W at its time constant
 
 
 def tables_of(parameters: int, **changes: Any) -> RecordArray:
@@ -87,7 +88,7 @@ def test_x_is_the_lost_w_what_is_earlier_the_difference_of_the_cars_and_one_whit
     np.testing.assert_allclose(rows[:, 1], whitened(EARLIER), atol=1e-12)
     for i, x in enumerate(differences(parameters), start=2):
         np.testing.assert_allclose(rows[:, i], whitened(x), atol=1e-10 * np.abs(x).max())
-    np.testing.assert_allclose(rows[:, 2 + parameters], 1.0 - COLOUR)  # of the remainder
+    np.testing.assert_allclose(rows[:, 2 + parameters], REMAINDER)
     assert not rows[:, parameters + 3 : MAX_STATES].any()
 
 
@@ -116,8 +117,10 @@ def test_a_rule_that_is_not_exact_leaves_a_tick_s_change_of_the_model() -> None:
     exact = predicted(tables_of(0)[0])
     np.testing.assert_allclose(exact[:, 1], whitened(EARLIER), atol=1e-12)
     assert not exact[:, 2:].any()
-    held = predicted(build(DESIGN, Target(TICK_S, 0, "tustin-held", noise_pole=COLOUR)))
-    np.testing.assert_allclose(held[:, 2], 1.0 - COLOUR)
+    held = predicted(
+        build(DESIGN, Target(TICK_S, 0, "tustin-held", noise_pole=COLOUR, noise_rms=NOISE_RMS))
+    )
+    np.testing.assert_allclose(held[:, 2], REMAINDER)
     steps = np.diff(MODELLED, prepend=0.0) ** 2
     np.testing.assert_allclose(held[:, -1], fading_largest(steps), rtol=1e-9, atol=1e-300)
 
@@ -130,20 +133,17 @@ def test_what_is_not_finite_stays_in_no_memory() -> None:
         assert state.mismatch.remainder == 0.0
 
 
-def test_a_new_loss_has_no_past() -> None:
-    """Its w begins at nothing: it is neither whitened nor told to have changed by the last one."""
+def test_a_new_loss_begins_with_share_and_moment_unknown() -> None:
     table = tables_of(2)[0]
     state = controller.init(table)[0]
     for command, model in zip(COMMANDS[:9], MODELLED, strict=False):
         predict(table, state, command, model, 0.3, 0.2)
-        innovation(table.mismatch, state.mismatch, 0.1)
+        innovation(table.mismatch, state.mismatch, 0.1, 0.0, 0.0)
     before = state.mismatch.copy()
     learn_loss(state.mismatch, 0.09, 25.0)
-    assert state.mismatch.theta[:2].tolist() == state.mismatch.x[:2].tolist() == [0.0, 0.0]
-    for name in ("theta", "x"):
-        np.testing.assert_array_equal(state.mismatch[name][2:], before[name][2:])
-    predict(table, state, COMMANDS[9], MODELLED[9], 0.7, 0.4)
-    assert state.mismatch.regressor[:2].tolist() == [0.7, 0.4]
+    assert state.mismatch.theta[:2].tolist() == [0.0, 0.0]
+    assert np.diag(covariance_of(state.mismatch))[:2].tolist() == [0.09, 25.0]
+    np.testing.assert_array_equal(state.mismatch.theta[2:], before.theta[2:])
 
 
 STILL = {"forgetting": 0.0, "growth": 0.0, "white": 0.0}
@@ -152,13 +152,14 @@ STILL = {"forgetting": 0.0, "growth": 0.0, "white": 0.0}
 @pytest.mark.parametrize("place", [(0.5, 0.0), (-0.7, 0.4)])
 def test_theta_finds_the_place_of_a_car(place: tuple[float, float]) -> None:
     """A car that lies along the directions exactly, and noise: θ to within its own deviation."""
-    tables = changed(tables_of(2)[0], mismatch={**STILL, "noise": 1e-10, "colour": 0.0})
+    tables = changed(tables_of(2)[0], mismatch={**STILL, "noise": 1e-10})
+    tables[0].mismatch.whitener.n = 0
     state, x = controller.init(tables[0])[0], differences(2)
     noise = 1e-5 * np.random.default_rng(5).standard_normal(len(COMMANDS))
     residuals = place[0] * x[0] + place[1] * x[1] + noise
     for command, model, residual in zip(COMMANDS, MODELLED, residuals, strict=True):
         predict(tables[0], state, command, model, 0.0)
-        innovation(tables[0].mismatch, state.mismatch, residual)
+        innovation(tables[0].mismatch, state.mismatch, residual, 0.0, 0.0)
     deviation = np.sqrt(np.diag(covariance_of(state.mismatch)))[2:4]
     assert (np.abs(state.mismatch.theta[2:4] - place) < 4.0 * deviation).all()
     assert deviation.max() < 0.05
@@ -180,7 +181,7 @@ def test_innovations_of_coloured_noise_on_another_car_are_white_and_as_large_as_
     state, new = controller.init(tables[0])[0], []
     for k, residual in enumerate(noise + 0.6 * x[0] - 0.3 * x[1]):
         predict(tables[0], state, u[k], modelled[k], 0.0)
-        value = innovation(tables[0].mismatch, state.mismatch, residual)
+        value = innovation(tables[0].mismatch, state.mismatch, residual, 0.0, 0.0)
         new.append(value / math.sqrt(state.mismatch.variance))
     normal = np.array(new[200:])
     assert normal.var() == pytest.approx(1.0, abs=0.1)

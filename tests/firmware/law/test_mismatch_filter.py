@@ -27,10 +27,12 @@ def begun(precision: Precision = "float64", **changes: Any) -> tuple[Any, Any]:
     chosen = {
         "n": MAX_STATES, "prior": 0.36, "forgetting": [0.0, 0.0, 0.01, 0.02, 0.03, 0.05, 0.1],
         "growth": [0.0, 0.0, 0.01, 0.003, 0.002, 0.004, 0.2], "white": 0.1, "noise": 1e-4,
-        "colour": COLOUR, **changes,
+        **changes,
     }  # fmt: skip
     for name, value in chosen.items():
         constants[name] = value
+    constants.whitener.n = 1
+    constants.whitener.coefficients[0] = 1.0, 1.0 - COLOUR, 0.0, 1.0, 0.0  # 1 - COLOUR/z
     clear_mismatch(constants, state)
     return constants, state
 
@@ -76,7 +78,7 @@ def test_it_is_the_kalman_filter_of_full_matrices(seed: int) -> None:
         wander = min(state.change / state.extent, 1.0)
         expected = theirs.step(x, residual - COLOUR * before, wander, float(state.remainder))
         before = residual
-        ours = innovation(constants, state, residual)
+        ours = innovation(constants, state, residual, 0.0, 0.0)
         assert (ours, state.variance) == pytest.approx(expected, rel=1e-9, abs=1e-12)
         np.testing.assert_allclose(state.theta, theirs.theta, atol=1e-9)
         np.testing.assert_allclose(covariance_of(state), theirs.p, atol=1e-9)
@@ -85,7 +87,7 @@ def test_it_is_the_kalman_filter_of_full_matrices(seed: int) -> None:
 def test_so_is_a_residual_that_is_no_number_though_x_is_one() -> None:
     constants, state = begun()
     state.regressor[:] = state.extent = 0.1
-    innovation(constants, state, math.inf)
+    innovation(constants, state, math.inf, 0.0, 0.0)
     assert np.isfinite(state.variance)
     assert not state.theta.any()
     assert state.previous_residual == 0.0
@@ -95,7 +97,7 @@ def test_a_car_that_has_never_moved_may_be_any() -> None:
     """Nothing has shown yet, so there is no ratio of change to extent."""
     constants, state = begun()
     state.extent = state.change = 0.0
-    innovation(constants, state, 0.1)
+    innovation(constants, state, 0.1, 0.0, 0.0)
     np.testing.assert_allclose(state.memory, 1.0 - constants.forgetting)
 
 
@@ -111,11 +113,14 @@ def test_the_variance_of_an_innovation_is_never_below_that_of_the_noise(
     constants, state = begun(precision, noise=noise)
     of_loss = np.array([0.09, 25.0], precision)
     learn_loss(state, *of_loss)
-    still = 10.0 * draw.standard_normal(MAX_STATES)
+    still, real = 10.0 * draw.standard_normal(MAX_STATES), state.extent.dtype.type
     for _ in range(200):
         state.regressor[:] = still * (1.0 + moves * draw.standard_normal(MAX_STATES))
         state.extent, state.change, state.remainder = 1.0, moves, 0.1 * moves
-        innovation(constants, state, state.extent.dtype.type(1e-3 * draw.standard_normal()))
+        residual, known, share = (
+            real(value) for value in (1e-3 * draw.standard_normal(), 0.0, 0.0)
+        )
+        innovation(constants, state, residual, known, share)
         assert state.variance >= constants.noise
         assert (state.covariance.variances >= 0.0).all()
         assert np.isfinite(state.theta).all()
@@ -131,7 +136,7 @@ def test_an_overflow_is_forgotten(huge: float) -> None:
     for value in (0.1, huge, -huge):
         state.regressor[:] = value
         state.extent, state.change, state.remainder = value, value, 0.0
-        innovation(constants, state, value)
+        innovation(constants, state, value, 0.0, 0.0)
     for name in (
         "x", "theta", "extent", "change", "remainder", "previous_model_output", "previous_residual",
     ):  # fmt: skip

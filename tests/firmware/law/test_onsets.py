@@ -143,8 +143,9 @@ def test_an_offset_takes_away_from_a_plant_that_answers_at_once_too() -> None:
     table, state = begun()
     table.estimator.channel_1.n = 1
     table.estimator.channel_1.coefficients[0] = 0.5, 0.0, 0.0, 0.0, 0.0
-    weigh_signatures(table, state, 0.0)
-    assert state.hypotheses.signatures.torque_offset.candidate.previous_shown == -0.5
+    state.mismatch.variance = 1.0
+    weigh_signatures(table, state, 1.0)
+    assert state.hypotheses.signatures.torque_offset.candidate.correlation == -0.5
 
 
 @pytest.mark.parametrize("name", ["sensor_biased", "sensor_drifting"])

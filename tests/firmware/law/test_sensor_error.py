@@ -60,7 +60,7 @@ def filtered(table: Any, state: Any, residual: FloatArray, x: FloatArray) -> lis
     rows, n = [], int(table.mismatch.n)
     for value, row in zip(residual.tolist(), x, strict=True):
         state.mismatch.regressor[:n] = row
-        rows.append(float(innovation(table.mismatch, state.mismatch, value)))
+        rows.append(float(innovation(table.mismatch, state.mismatch, value, 0.0, 0.0)))
     return rows
 
 
@@ -86,15 +86,13 @@ def test_what_follows_is_what_would_have_been_without_the_error(name: str, lags:
     for k in range(TICKS):
         known = sensor_error_shown(table, state)
         state.mismatch.regressor[:n] = x[k]
-        residual = healthy[k] - shown[k] + known
-        new = innovation(table.mismatch, state.mismatch, residual)
+        new = innovation(table.mismatch, state.mismatch, healthy[k] - shown[k], known, 0.0)
         rows.append(new)
         weigh_signatures(table, state, new)
         if k == FOUND - 1:
             own[name].candidate["size_now"] = size
             ramp = own.ramp if name == "sensor_drifting" else -1.0
             assert not learn_sensor_error(table, state, own[name], ramp)
-            state.mismatch.previous_residual += sensor_error_shown(table, state) - known
             begin_all(own)
         advance_signatures(table, state)
         advance_sensor_error(table, state)

@@ -46,7 +46,8 @@ def begun(latency: int = 1, **numbers: float) -> tuple[Any, Any]:
 def test_the_evidence_is_how_much_likelier_the_innovations_are_with_a_loss(share: float) -> None:
     """w is whitened, and less what a filter of two states would have made of it."""
     table, state = begun(restart=-math.inf, freshness=0.0)
-    table.mismatch.n, table.mismatch.colour = 2, 0.6
+    table.mismatch.n, table.mismatch.whitener.n = 2, 1
+    table.mismatch.whitener.coefficients[0] = 1.0, 0.4, 0.0, 1.0, 0.0  # 1 - 0.6/z
     draw = np.random.default_rng(5)
     w, sigma = draw.standard_normal(12), draw.uniform(0.5, 2.0, 12)
     x, gain, memory = draw.uniform(-0.4, 0.4, (3, 12, 2))
@@ -135,8 +136,9 @@ def test_a_candidate_begins_with_the_commands_that_are_on_their_way(latency: int
     before = at_rest()
     advance(table.estimator.channel_1, before, sent[0] if sent else 11.0)
     np.testing.assert_array_equal(test.earlier.accumulators, before.accumulators)
-    others = ("evidence", "correlation", "information", "age", "previous_shown", "half_age")
-    assert [test[name] for name in (*others, "half_information")] == [0.0] * 7
+    others = ("evidence", "correlation", "information", "age", "half_age")
+    assert [test[name] for name in (*others, "half_information")] == [0.0] * 6
+    assert not test.white.memory.any()
     assert not test.explained.any()
 
 

@@ -17,6 +17,7 @@ from firmware_model.law.status import FaultState
 
 STEADY_NM = 42.5  # for 1 m/s², docs/design.md
 SEEDS = 31
+CALM = "budget.disturbance_mps2=0"
 
 
 def figures(scenario: Scenario):
@@ -36,10 +37,10 @@ def delays_s(scenario: Scenario) -> np.ndarray:
     ("name", "settings", "slowest"),
     [
         ("default", ["duration_s=3.3", "fault.at_s=3"], 1.7),
-        # With nothing to learn the evidence grows as t^5: at 22 ± 3·√44 that is 1.14 times t.
+        # With white noise alone the evidence grows as t^5: at 22 ± 3·√44 that is 1.14 times t.
         (
             "default",
-            ["duration_s=3.3", "fault.at_s=3", "budget.box=0", "budget.actuator_box=0"],
+            ["duration_s=3.3", "fault.at_s=3", "budget.box=0", "budget.actuator_box=0", CALM],
             1.2,
         ),
         ("noisy", ["duration_s=3.3", "fault.at_s=3"], 1.7),
@@ -81,12 +82,20 @@ def test_noise_and_rounding_add_up() -> None:
     assert figures(load("default")).noise_mps2 == pytest.approx(0.005, rel=1e-3)
 
 
-def test_the_least_torque_is_the_one_below_which_the_state_is_cannot_tell() -> None:
+@pytest.mark.parametrize("disturbance_mps2", [0.0, 0.03])
+def test_the_least_torque_is_the_one_below_which_the_state_is_cannot_tell(
+    disturbance_mps2: float,
+) -> None:
     """A second of a constant d of white noise σ has the evidence d²/σ² · 1 s/T: Λ there."""
-    scenario = load("default", ["duration_s=12", "fault.kind=none"])
+    calm = f"budget.disturbance_mps2={disturbance_mps2}"
+    scenario = load("default", ["duration_s=12", "fault.kind=none", calm])
     least_nm = figures(scenario).least_torque_nm
     evidence = math.log(3600.0 / (scenario.tick_s * 0.001))
-    assert least_nm == pytest.approx(0.005 * math.sqrt(evidence / 1000.0) * STEADY_NM, rel=0.01)
+    in_noise_nm = 0.005 * math.sqrt(evidence / 1000.0) * STEADY_NM
+    if disturbance_mps2:
+        assert least_nm > 2.0 * in_noise_nm
+    else:
+        assert least_nm == pytest.approx(in_noise_nm, rel=0.01)
     quiet = scenario.noise_free
     for times, state in ((0.5, FaultState.CANNOT_TELL), (2.0, FaultState.CLEAR)):
         reference = replace(quiet.reference, amplitude_mps2=times * least_nm / STEADY_NM)

@@ -153,6 +153,45 @@ def test_further_sensors_change_no_other_frame(tmp_path):
         assert [signals for _, signals in said] == [signals for _, signals in with_them[name]]
 
 
+FAULTS = [
+    ({"kind": "sensor-biased", "offset": 0.05}, lambda y, k: y + 0.05),
+    ({"kind": "sensor-drift", "drift_per_s": 0.2}, lambda y, k: y + 0.2 * (k - 200) * TICK_S),
+    ({"kind": "sensor-dead", "left": 0.25}, lambda y, k: 0.25 * y),
+    ({"kind": "sensor-stuck", "value": -0.1}, lambda y, k: -0.1),
+]
+
+
+@pytest.mark.parametrize(("fault", "expected"), FAULTS, ids=lambda each: str(each)[:24])
+def test_a_fault_of_a_further_sensor_changes_its_frames_and_no_other(tmp_path, fault, expected):
+    sensors = [{**each, "delay_s": 0.0} for each in SENSORS]
+    faulty = {"channel": "yaw-rate", "at_s": 0.2, "for_s": 0.1, **fault}
+    healthy = frames(run(scenario(sensor=sensors), tmp_path / "healthy"))
+    found = frames(run(scenario(sensor=sensors, fault=faulty), tmp_path / "faulty"))
+    again = run(scenario(sensor=sensors, fault=faulty), tmp_path / "two", runner=two_processes)
+    assert again.read_bytes() == (tmp_path / "faulty" / "bus.log").read_bytes()
+    for (time_s, said), (_, other) in zip(healthy["YAW_RATE"], found["YAW_RATE"], strict=True):
+        tick = round(time_s / TICK_S)
+        wanted = expected(said["YawRate"], tick) if 200 <= tick < 300 else said["YawRate"]
+        assert other["YawRate"] == pytest.approx(wanted, abs=1.1e-5)
+    for name in healthy.keys() - {"YAW_RATE"}:
+        assert found[name] == healthy[name]
+
+
+BAD_FAULTS = [
+    ({"kind": "sensor-dead", "channel": "force-difference-echo"}, "fault.channel = 'force-diff"),
+    ({"kind": "actuator-dead", "channel": "yaw-rate"}, "fault.channel = 'yaw-rate': must be one"),
+    ({"kind": "frames-missing", "channel": "yaw-rate"}, "fault.channel = 'yaw-rate': must be one"),
+    ({"kind": "sensor-biased", "channel": "yaw-rate"}, "fault.offset: must be set"),
+]
+
+
+@pytest.mark.parametrize(("fault", "line"), BAD_FAULTS, ids=str)
+def test_an_impossible_fault_of_a_further_sensor_is_refused(fault, line):
+    with pytest.raises(ScenarioError) as refused:
+        scenario(fault=fault)
+    assert line in str(refused.value) and "\n" not in str(refused.value)
+
+
 BAD = [
     ({}, "sensor.measures: must be set"),
     ({"measures": "yaw"}, "sensor.measures = 'yaw': must be"),

@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.covariance import MAX_STATES
+from firmware_model.law.filters import whitener
+from firmware_model.law.filters.whitener import whiten
 from firmware_model.law.precision import real
 from firmware_model.law.structs import FloatArray, Struct
 
@@ -46,7 +48,7 @@ class State(Struct):
     """State."""
 
     explained: Annotated[FloatArray, "1", "effect of the signature on θ", (MAX_STATES,)]
-    previous_shown: Annotated[float, "y", "the signature in d̂ of the last tick"]
+    white: Annotated[whitener.State, "y", "memory of W for the signature"]
     age: Annotated[float, "tick", "since the onset"]
     correlation: Annotated[float, "1", "c for a size of 1"]
     information: Annotated[float, "1", "i for a size of 1"]
@@ -70,8 +72,7 @@ def take_in(
         innovation: ν.
     """
     mismatch, half = state.mismatch, real(0.5, shown)
-    signature = shown - table.mismatch.colour * own.previous_shown
-    own.previous_shown = shown
+    signature = whiten(table.mismatch.whitener, own.white, shown)
     for i in range(table.mismatch.n):
         signature -= mismatch.regressor[i] * own.explained[i]
     for i in range(table.mismatch.n):
@@ -108,5 +109,6 @@ def has_failed(constants: Constants, own: State) -> bool:
 def start(own: State) -> None:
     """The onset is now."""
     own.explained[:] = 0.0
-    own.previous_shown = own.age = own.correlation = own.information = 0.0
+    own.white.memory[:] = 0.0
+    own.age = own.correlation = own.information = 0.0
     own.size_now = own.foretold = own.evidence = 0.0

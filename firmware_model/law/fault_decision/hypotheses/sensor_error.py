@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from firmware_model.compiled import firmware
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output
+from firmware_model.law.filters.whitener import add_signal
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
 
@@ -66,9 +67,12 @@ def learn_sensor_error(
     for i in range(table.estimator.measurement.n):
         for j in range(2):
             own.answer.accumulators[i, j] -= size * found.answer.accumulators[i, j]
+    white = state.mismatch.white.sensor_error
+    add_signal(table.mismatch.whitener, white, -size, found.candidate.white)
     gone: bool = abs(own.offset) < half * abs(before)
     if gone:
         clear_sensor_error(own)
+        white.memory[:] = 0.0
     return gone
 
 
