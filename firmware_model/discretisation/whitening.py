@@ -21,7 +21,6 @@ from scipy import linalg
 
 from firmware_model.discretisation.sections import Sections, from_delta_zpk
 from firmware_model.discretisation.targets import Target
-from firmware_model.errors import ParameterError
 from firmware_model.law.structs import Precision
 
 # rms rounding error of a perfect sensor, in units of the measurement
@@ -52,21 +51,15 @@ LEAST = 1e-5  # disturbance of a tick over white noise: less is beyond the solve
 def whitening(channel_1: Sections, target: Target) -> Whitening:
     """W for the ``target``'s noise and disturbance, behind lags as slow as ``channel_1``.
 
-    Raises:
-        ParameterError: the disturbance is too small beside the noise.
+    A disturbance below ``LEAST`` of the noise does not show, and W is the noise's.
     """
     a = target.noise_pole
     noise = (1.0 - a * a) * target.noise_rms**2
     rounding = target.resolution**2 / 12.0 + NO_NOISE[target.precision] ** 2
     lag = math.exp(-2.0 / max(mean_delay(channel_1), 1e-9))
     least = LEAST * math.sqrt((noise + rounding) / target.tick_s)
-    if 0.0 < target.disturbance < least:
-        raise ParameterError(
-            f"disturbance = {target.disturbance:g}: must be 0, or at least {least:.3g} to show "
-            "beside the noise"
-        )
     blocks = []  # dynamics, input gains and output of each part of e
-    if target.disturbance > 0.0:
+    if target.disturbance >= least:
         dynamics = np.array([[1.0, 0.0, 0.0], [1.0 - lag, lag, 0.0], [0.0, 1.0 - lag, lag]])
         variance = np.diag([target.disturbance**2 * target.tick_s, 0.0, 0.0])
         blocks.append((dynamics, variance, [0.0, 0.0, 1.0]))

@@ -15,7 +15,6 @@ from __future__ import annotations
 from typing import Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.precision import real
 from firmware_model.law.structs import FloatArray, Struct
 
 WHITENER_SECTIONS = 2
@@ -53,7 +52,7 @@ def settle_whitener(constants: Constants, state: State, signal: float) -> None:
     """Put the memory of a signal into the steady state for a constant ``signal``."""
     c, s, u = constants.coefficients, state.memory, signal
     for i in range(constants.n):
-        y = real(0.0, u)
+        y = c[i, 0] * u
         if c[i, 4] != 0.0:
             y = u * c[i, 2] / c[i, 4]
         elif c[i, 3] != 0.0:

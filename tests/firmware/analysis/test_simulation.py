@@ -57,6 +57,25 @@ def test_a_plant_class_with_the_same_equations_gives_the_same_bits() -> None:
     np.testing.assert_array_equal(linear.error, REFERENCE - linear.measurement)  # (3.41)
 
 
+class Sensing(Recorded):
+    """The same plant with a sensor, which notes what it heard of the actuators' commands."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.told: list[tuple[float, float]] = []
+
+    def sense(self, told: tuple[float, float]) -> None:
+        self.told.append(told)
+
+
+def test_a_plant_with_sensors_hears_the_commands_of_the_tick_before() -> None:
+    """Without faults what an actuator was told is what acted: one tick and the latency late."""
+    plant = Sensing()
+    simulate(TABLE, plant, REFERENCE, tick_s=TICK_S)
+    assert plant.told == [(0.0, 0.0), *plant.acted[:-1]]
+    assert np.abs(plant.told).max() > 0.0
+
+
 def test_what_is_measured_lies_on_the_grid_and_within_its_ends() -> None:
     noise = np.random.default_rng(1).normal(0.0, 0.01, TICKS)
     frames = EXACT_FRAMES.copy()

@@ -58,6 +58,16 @@ def test_a_settled_whitener_goes_on_with_the_gain_at_rest(noise: dict[str, float
         assert whiten(constants, state, 3.0) == pytest.approx(3.0 * gain, abs=1e-12)
 
 
+def test_a_section_without_memory_keeps_none() -> None:
+    constants, _ = constants_of()
+    constants.n = 1
+    constants.coefficients[0] = 2.0, 0.0, 0.0, 0.0, 0.0
+    state = at_rest()
+    settle_whitener(constants, state, 3.0)
+    assert not state.memory.any()
+    assert whiten(constants, state, 3.0) == 6.0
+
+
 def test_memories_add_up_like_signals() -> None:
     """Linear: the memory of u + f v is that of u plus f times that of v."""
     constants, _ = constants_of(noise_pole=0.6, disturbance=0.2)

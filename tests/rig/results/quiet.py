@@ -18,7 +18,7 @@ def quiet(scenario: Scenario, **changed: np.ndarray) -> Signals:
     names = [
         name
         for name in Signals.__dataclass_fields__
-        if name not in ("time_s", "plant", "whose_fault")
+        if name not in ("time_s", "plant", "sensors", "whose_fault")
     ]
     columns = {name: zero.copy() for name in names} | changed
     return Signals(np.arange(scenario.ticks) * scenario.tick_s, **columns)

@@ -14,7 +14,9 @@ from can_rig.results.metrics import metrics, metrics_of
 from can_rig.results.signals import Signals
 from tests.rig.results.quiet import Run, quiet
 
-COLUMNS = [name for name in Signals.__dataclass_fields__ if name not in ("plant", "whose_fault")]
+COLUMNS = [
+    name for name in Signals.__dataclass_fields__ if name not in ("plant", "sensors", "whose_fault")
+]
 
 LSB_MPS2 = 1e-8
 

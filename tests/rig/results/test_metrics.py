@@ -16,7 +16,9 @@ from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import solve
 from tests.rig.results.quiet import Run, quiet
 
-COLUMNS = [name for name in Signals.__dataclass_fields__ if name not in ("plant", "whose_fault")]
+COLUMNS = [
+    name for name in Signals.__dataclass_fields__ if name not in ("plant", "sensors", "whose_fault")
+]
 
 LSB_MPS2 = 1e-8
 
