@@ -511,7 +511,7 @@ def _refuse_speeds(scenario: Scenario) -> None:
 def _refuse_sensors(scenario: Scenario) -> None:
     """Refuse two sensors of one quantity, times between ticks, and quantities of another plant.
 
-    Refuse also faults of sensors that are not there.
+    Refuse faults of sensors that the scenario lacks, too.
     """
     there = [each.measures for each in scenario.sensor]
     for fault in scenario.faults:
