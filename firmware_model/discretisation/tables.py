@@ -209,6 +209,8 @@ def build(design: ContinuousDesign, target: Target) -> Table:
     _fill_decision(table, target, white)
     _fill_mismatch(table, design, target, white)
     fill_hypotheses(table, target)
+    table.prediction.fading = _memory(target, SLOWEST_TRANSFER_S)
+    table.prediction.longest = math.ceil(target.blind_s / target.tick_s)
     table.safe_stop.duration = math.ceil(target.safe_stop_s / target.tick_s)
     tables.flags.writeable = False
     made: Table = tables[0]

@@ -15,10 +15,11 @@ class Mode(IntEnum):
     """No tick has run since ``init`` or ``reset``."""
     RUN = 1
     """The last tick was computed from its inputs."""
-    HOLD = 2
-    """The last tick's input was not a finite number: the last good commands are held."""
+    BLIND = 2
+    """The last tick had no measurement to be used: the model's prediction stood in."""
     SAFE_STOP = 3
-    """Both actuators are lost: the commands are taken back to zero, until ``reset``."""
+    """The commands are taken back to zero: until ``reset`` where both actuators are lost, until the
+    next measurement after a long time without one."""
 
 
 class FaultState(IntEnum):
