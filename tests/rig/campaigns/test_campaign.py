@@ -110,6 +110,8 @@ def test_the_table_has_types_units_and_verdicts(done: CampaignFolder) -> None:
     units = table.attrs["units"]
     assert units["deviation_peak_after_fault_mps2"] == "m/s²"
     assert (units["simulated_s"], units["torque_peak_nm"]) == ("s", "N m")
+    assert (units["plant.mass_kg"], units["astray_m"]) == ("kg", "m")
+    assert units["false_alarms_per_hour"] == "1/h"
     assert not {"run", "command", "passed.small"} & set(units)
 
 

@@ -74,3 +74,4 @@ def test_too_few_open_files_are_one_line_and_no_traceback(files: int, tmp_path: 
         assert done.returncode in {0, 2, 3}
         if done.returncode:
             assert done.stderr.splitlines()[-1].startswith("error: ")
+            assert number or not (tmp_path / "two").exists()

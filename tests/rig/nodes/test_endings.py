@@ -34,13 +34,14 @@ def test_after_sigkill_the_other_ends_the_line_names_it_and_no_tick_is_lost(
     before = lines_of(log) // 5
     os.kill(nodes[victim], signal.SIGKILL)
     wait_for(lambda: not alive(nodes[left]))
-    _, errors = process.communicate(timeout=60)
+    output, errors = process.communicate(timeout=60)
     assert process.returncode == 3
     line = one_line(errors)
     assert f"the {victim} node was ended by SIGKILL" in line
     assert f"the {left} node" not in line
-    folder_is_complete(log.parent, victim)
-    assert whole_ticks(log) >= before
+    summary = folder_is_complete(log.parent, victim)
+    assert summary["ticks"] == whole_ticks(log) >= before
+    assert f"rate {summary['ticks_per_s']:.0f} ticks/s" in " ".join(output.split())
 
 
 def test_a_node_that_hangs_is_named_and_does_not_stay(thesis_step):
