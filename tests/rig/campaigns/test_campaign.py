@@ -160,7 +160,7 @@ def test_a_process_that_is_killed_costs_nothing(
 
     def kill_one(count: int) -> None:
         processes = fork_server_and_workers()
-        if len(victims) < 2 and count > 4 * len(victims) and len(processes) > 1:
+        if not victims and len(processes) > 1:
             victim = processes[0 if which == "fork server" else 1]
             victims.append(victim.pid)
             victim.kill()

@@ -55,15 +55,12 @@ def test_a_node_that_hangs_is_named_and_does_not_stay(thesis_step):
     folder_is_complete(log.parent, victim)
 
 
-@pytest.mark.parametrize("how", ["the run", "its group, thrice"])
-def test_ctrl_c_ends_both_cleanly_and_leaves_a_complete_folder(how, thesis_step):
+def test_ctrl_c_ends_both_cleanly_and_leaves_a_complete_folder(thesis_step):
+    """Thrice and to the whole group: what a terminal does, and an impatient person."""
     process, log, nodes = thesis_step
-    if how == "the run":
-        process.send_signal(signal.SIGINT)
-    else:  # what a terminal does, and an impatient person
-        for _ in range(3):
-            os.killpg(process.pid, signal.SIGINT)
-            time.sleep(0.2)
+    for _ in range(3):
+        os.killpg(process.pid, signal.SIGINT)
+        time.sleep(0.2)
     output, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     for text in (output, errors):
