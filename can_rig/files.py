@@ -59,7 +59,12 @@ def refuse_existing(path: Path, force: bool, option: str, *, new_folder: bool = 
         raise LogError(f"{path}: exists; choose another {option}, or --force to replace it")
     folder = path.parent.parent if new_folder else path.parent
     if not folder.is_dir():
-        raise LogError(f"{path}: there is no folder {folder}; {option} makes none")
+        raise LogError(f"{path}: {no_folder(folder)}; {option} makes none")
+
+
+def no_folder(folder: Path) -> str:
+    """What is wrong with a path that must be a folder."""
+    return f"{folder} is a file" if folder.exists() else f"there is no folder {folder}"
 
 
 def refuse_picture(path: Path, force: bool) -> None:

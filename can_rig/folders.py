@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from can_rig.errors import RunFolderError, one_line
-from can_rig.files import WHOLE, locked, move_up, part_folder, safe_name, tidy
+from can_rig.files import WHOLE, locked, move_up, no_folder, part_folder, safe_name, tidy
 
 
 @dataclass(frozen=True)
@@ -82,15 +82,26 @@ def refuse_folder(path: Path, kind: Kind, force: bool) -> None:
     """
     target = followed(path)
     if not target.parent.is_dir():
-        raise RunFolderError(f"{path}: there is no folder {target.parent}; --out makes none")
+        raise RunFolderError(f"{path}: {no_folder(target.parent)}; --out makes none")
     if not os.path.lexists(target):
         return
+    refuse_file(target)
     try:
         tidy(target)
         if names(target):
             refuse_to_replace(path, kind, force)
     except OSError as error:
         raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def refuse_file(path: Path) -> None:
+    """Refuse a file where a folder must be.
+
+    Raises:
+        RunFolderError: the file.
+    """
+    if path.exists() and not path.is_dir():
+        raise RunFolderError(f"{path}: is a file; must be a folder, or not there")
 
 
 def refuse_to_replace(path: Path, kind: Kind, force: bool) -> None:
@@ -195,6 +206,8 @@ class NewFolder:
         target = followed(path)
         made = cls(path, target, target, kind)
         with made._refusals():
+            for parent in target.parents:
+                refuse_file(parent)
             target.parent.mkdir(parents=True, exist_ok=True)
             if not made._took_place():
                 refuse_to_replace(path, kind, force)
@@ -258,8 +271,7 @@ class NewFolder:
             self._is_new = True
             self._hold(self.making)
             return True
-        if not self.making.is_dir():
-            raise RunFolderError(f"{self.making}: is a file; must be a folder, or not there")
+        refuse_file(self.making)
         self._hold(self.making)
         tidy(self.making)
         own = [*self._kind.own(self.making)]

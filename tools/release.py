@@ -83,9 +83,12 @@ def tried(package: Path, version: str, own_packages: bool) -> None:
     """Install a file into an empty environment far from the checkout, and run a scenario there."""
     with tempfile.TemporaryDirectory(prefix="release-") as name:
         folder = Path(name)
-        run(sys.executable, "-m", "venv", folder / "venv")
+        run(sys.executable, "-m", "venv", "--without-pip", folder / "venv")
         python = folder / "venv" / "bin" / "python"
-        pip = (python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+        pip = (
+            *(sys.executable, "-m", "pip", "--python", python),
+            *("install", "--quiet", "--disable-pip-version-check"),
+        )
         if own_packages:  # a line in a .pth file adds a folder and not the .pth files in the folder
             (packages,) = (folder / "venv" / "lib").glob("python3*/site-packages")
             (packages / "own.pth").write_text("\n".join(site.getsitepackages()), "utf-8")
@@ -100,7 +103,7 @@ def tried(package: Path, version: str, own_packages: bool) -> None:
             run(*pip, "--no-deps", "--require-hashes", "--requirement", folder / "requirements")
             run(*pip, "--no-deps", package, cwd=folder)
         environment = {"PATH": os.environ["PATH"], "HOME": name, "NUMBA_DISABLE_JIT": "1"}
-        command = (folder / "venv" / "bin" / "can-rig", *TRIAL, "--set", "duration_s=0.2")
+        command = (folder / "venv" / "bin" / "can-rig", *TRIAL, "--set", "duration_s=0.05")
         run(*command, "--out", "run", cwd=folder, env=environment)
         summary = json.loads((folder / "run" / "run.json").read_text("utf-8"))
         found, where = run(python, "-c", ASK, cwd=folder, env=environment).split()

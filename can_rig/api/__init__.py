@@ -279,7 +279,9 @@ class ReplayedDrive:
     def __repr__(self) -> str:
         """Scenario and ticks."""
         ticks, blind = self.summary["ticks"], self.summary["ticks_blind"]
-        return f"<recorded drive through {self.scenario.name}: {ticks} ticks, {blind} of them BLIND>"
+        return (
+            f"<recorded drive through {self.scenario.name}: {ticks} ticks, {blind} of them BLIND>"
+        )
 
 
 @in_python

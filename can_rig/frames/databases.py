@@ -28,6 +28,8 @@ _ADVICE: Final = {  # the text before the place, |, the text after the place: th
     r"\s*(?:CM_|BA_|VAL_)\b.*\|\w": "a word is misspelt, or its quotation marks are missing",
 }
 _OTHER: Final = "a DBC cannot have this here; the line must be mended or left out"
+_TEXT: Final = re.compile(r'"((?:[^"\\]|\\.)*)(?:"|\Z)', re.S)
+_STATEMENT: Final = re.compile(r"\n\s*(?:BO_|SG_|CM_|BA_\w*|VAL_\w*|SIG_\w+|SG_MUL_VAL_)\s")
 _SHOWN: Final = 40
 
 
@@ -81,6 +83,11 @@ def advice(text: str, error: BaseException) -> str:
 def _of_syntax(lines: list[str], number: int, column: int) -> str:
     line = lines[number - 1] if number <= len(lines) else ""
     before, here = line[: column - 1], line[column - 1 :].rstrip()
+    for quoted in _TEXT.finditer("\n".join([*lines[: number - 1], before])):
+        if _STATEMENT.search(quoted[1]):
+            first = quoted.string.count("\n", 0, quoted.start())
+            said = f"{lines[first].strip()[:_SHOWN]!r} must have quotation marks in pairs"
+            return f"line {first + 1}: {said}"
     last = next((n for n in range(number - 1, 0, -1) if lines[n - 1].strip()), 0)
     if not before.strip() and _BEGINNING.match(here) and last and _OPEN.fullmatch(lines[last - 1]):
         return f"line {last}: {lines[last - 1].strip()[:_SHOWN]!r} must end with a semicolon"

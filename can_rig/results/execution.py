@@ -15,7 +15,7 @@ from can_rig.assessment.speeds import refuse as refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.controllers.making import controller_of, peer_of
 from can_rig.controllers.protocol import InNode, Supplied
-from can_rig.errors import INTERRUPTED, BusError, RigError
+from can_rig.errors import INTERRUPTED, BusError, RigError, one_line
 from can_rig.files import atomic
 from can_rig.folders import NewFolder, default_folder
 from can_rig.frames.network import Network
@@ -239,9 +239,10 @@ def _run(
     start_s = time.perf_counter()
     try:
         summary = run()
-    except RigError as error:
-        outcome.outcome, outcome.wall_s = str(error), time.perf_counter() - start_s
-        return None, error
+    except (RigError, OSError) as error:  # of the system: too many open files, for one
+        failure = error if isinstance(error, RigError) else RigError(one_line(error))
+        outcome.outcome, outcome.wall_s = str(failure), time.perf_counter() - start_s
+        return None, failure
     outcome.ticks, outcome.wall_s = summary.ticks, summary.wall_s
     outcome.rejected_frames, outcome.bus_events = summary.rejected_frames, summary.bus_events
     outcome.realtime = summary.realtime

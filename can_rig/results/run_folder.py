@@ -10,6 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from can_rig import paged
 from can_rig.errors import LogError, RunFolderError, ScenarioError
 from can_rig.files import atomic
@@ -104,6 +106,8 @@ def finish(
         signals = signals_of_log(folder, scenario, network, outcome.realtime)
     else:
         signals = signals_of_columns(columns, scenario.tick_s, folder / LOG)
+    if not outcome.ticks and len(signals):  # a killed node sends no summary
+        outcome.ticks = len(signals) - bool(np.isnan(signals.fault_state[-1]))
     values = metrics(scenario, signals)
     said = recorded or scenario
     outcome.faults = fault_metrics(scenario, signals)

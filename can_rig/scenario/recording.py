@@ -111,8 +111,6 @@ def over_time(file: str, where: str, columns: Sequence[Column], end_s: float) ->
         raise ScenarioError(f"{where}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ScenarioError(f"{where}: must be text in UTF-8") from None
-    except csv.Error as error:
-        raise ScenarioError(f"{where}: must be a CSV: {error}") from None
     if not len(found.time_s):
         wanted = ",".join([TIME, *(each.name for each in columns if not each.optional)])
         raise ScenarioError(f"{where}: has no rows; must have some of {wanted}")
@@ -138,10 +136,14 @@ def _rows(lines: Iterable[str], where: str) -> Iterator[tuple[int, list[str]]]:
             continue
         if not separator:
             separator = next((sign for sign in ";\t" if sign in content), ",")
-        if separator == ",":
-            cells = next(csv.reader([content]))
-        else:
-            cells = [c.replace(",", ".") for c in next(csv.reader([content], delimiter=separator))]
+        try:
+            cells = next(csv.reader([content], delimiter=separator, strict=True))
+        except csv.Error:
+            raise ScenarioError(
+                f"{where}: line {number}: {content!r}: must have quotation marks in pairs"
+            ) from None
+        if separator != ",":
+            cells = [cell.replace(",", ".") for cell in cells]
         yield number, [cell.strip() for cell in cells]
 
 

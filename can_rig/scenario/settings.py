@@ -302,7 +302,7 @@ class ReferenceSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class LimitSettings:
-    """Largest commands and command rates of the controller, and its longest time without D*.
+    """Largest commands and command rates of the controller, and its longest time without an input.
 
     The controller assumes equal limits of the actuators; ``plant.torque_actuator.limit_nm`` and
     similar keys set the actuators' limits. Without a limit, the frame's range limits the command.

@@ -30,16 +30,10 @@ from firmware_model.law.structs import FloatArray
 
 TIME: Final = "time_s"
 
-_UNITS: Final = (  # suffix of a column, longest first
-    ("_rad_per_s", "rad/s"),
-    ("_mps2", "m/s²"),
-    ("_rad", "rad"),
-    ("_per_hour", "1/h"),
-    ("_mps", "m/s"),
-    ("_nm", "N m"),
-    ("_n", "N"),
-    ("_s", "s"),
-)
+_UNITS: Final = {  # by the last word of a column, or by the words around "per"
+    "hz": "Hz", "hour": "h", "kg": "kg", "kgm2": "kg m²", "m": "m", "mps": "m/s", "mps2": "m/s²",
+    "n": "N", "nm": "N m", "nms": "N m s", "percent": "%", "rad": "rad", "s": "s",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -98,7 +92,13 @@ class SignalTable:
 
 def unit(column: str) -> str:
     """The unit of a column by the suffix of its name; "" without a unit."""
-    return next((text for suffix, text in _UNITS if column.endswith(suffix)), "")
+    *before, last = column.split("_")
+    if not before or last not in _UNITS:
+        return ""
+    if before[-1] != "per":
+        return _UNITS[last]
+    over = _UNITS.get("".join(before[-2:-1]), "1" if last == "hour" else "")
+    return f"{over}/{_UNITS[last]}" if over else ""
 
 
 def _columns(names: Names) -> dict[str, tuple[str, str]]:

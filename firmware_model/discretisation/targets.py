@@ -40,7 +40,7 @@ class Target:
             channel's commands, instead of always with d̂ (the thesis).
         safe_stop_s: time from the verdict "both actuators lost" to zero commands; 0: the commands
             go on.
-        blind_s: longest time without a measurement; then the commands go to zero in the same time.
+        blind_s: longest time without an input; then the commands go to zero in the same time.
         prewarp_rad_per_s: frequency at which C and F̂ keep their continuous response exactly.
         precision: of every number in the table and the state.
     """

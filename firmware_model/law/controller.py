@@ -18,9 +18,11 @@ frozen sensor gives no information: its measurement counts as missing. With chan
 suspicion is compensated. With both channels lost the commands go to zero, if the table asks for a
 safe stop. F̂ on d̂ compensates under every verdict.
 
-**Inputs that are missing.** A missing reference is the last reference. A missing measurement is the
-model's prediction (``filters.prediction``): C is a feedforward then, and only the decision waits.
-After the longest time without a measurement the commands go to zero until a measurement comes.
+**Inputs that are missing.** The model's prediction stands in for a missing measurement
+(``filters.prediction``): C is a feedforward then, and only the decision waits. Without a reference
+the controller holds the commands. The held commands act on the plant, so every model of the plant
+goes on with them: F1, w (a lost channel owes these commands too), and F̂ where F̂ works on w. After
+the longest time without an input the commands go to zero, until both inputs come.
 """
 
 from __future__ import annotations
@@ -127,16 +129,18 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         measurement: y (D*), likewise.
     """
     r, y = real(reference, state.reference), real(measurement, state.measurement)
-    if not math.isfinite(r):
-        r = state.reference
+    told = math.isfinite(r)
     frozen = state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement
     measured = math.isfinite(y) and not frozen
-    if stops(table, state, measured):
+    if stops(table, state, told and measured):
         take_commands_back(table, state)
         go_on(table, state)
         state.mode = MODE_SAFE_STOP
-    else:
+    elif told and (measured or table.prediction.enabled):
         compute(table, state, r, y, measured)
+    else:
+        go_on(table, state)
+        state.mode = MODE_BLIND
 
 
 @firmware

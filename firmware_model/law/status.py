@@ -16,10 +16,11 @@ class Mode(IntEnum):
     RUN = 1
     """The last tick was computed from its inputs."""
     BLIND = 2
-    """The last tick had no measurement to be used: the model's prediction stood in."""
+    """The last tick lacked an input. The model's prediction stood in for the measurement; without a
+    reference the commands were held."""
     SAFE_STOP = 3
-    """The commands are taken back to zero: until ``reset`` where both actuators are lost, until the
-    next measurement after a long time without one."""
+    """The commands are taken back to zero: until ``reset`` after the loss of both actuators, until
+    the next tick with both inputs after a long time without."""
 
 
 class FaultState(IntEnum):

@@ -5,8 +5,8 @@ Each command goes to zero in a straight line, as far as the rate limit allows. T
 - Both actuators are lost: no command moves the plant any more, and a standing command would act at
   once if an actuator came back. The commands stay zero until ``reset``. A table with a duration of
   0 only reports the verdict and goes on.
-- No measurement for the longest time: a prediction is no better than its model. The line is as long
-  as that time, and the next measurement ends the stop.
+- An input is missing for the longest time: a prediction is no better than its model. The line is as
+  long as that time, and the next tick with both inputs ends the stop.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class State(Struct):
 
 
 @firmware
-def stops(table: Table, state: layout.State, measured: bool) -> bool:
-    """Whether the commands have to go: both actuators lost, or no measurement for too long."""
+def stops(table: Table, state: layout.State, complete: bool) -> bool:
+    """Whether the commands have to go; ``complete``: a tick with both inputs."""
     if state.hypotheses.verdict == BOTH_LOST and table.safe_stop.duration > 0.0:
         return True
-    blind: bool = not measured and state.prediction.elapsed >= table.prediction.longest
+    blind: bool = not complete and state.prediction.elapsed >= table.prediction.longest
     if not blind:
         state.safe_stop.elapsed = 0.0
     return blind

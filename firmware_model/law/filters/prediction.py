@@ -6,6 +6,9 @@ difference y - prediction, as last seen.
 
 C never sees a jump between measurement and prediction: the difference of the two fades. The fault
 estimate gets the measurement at once.
+
+A model that feeds the commands through within the tick predicts y only from the commands that
+follow from y. The prediction is not enabled then, and the controller holds its commands.
 """
 
 from __future__ import annotations
@@ -25,8 +28,9 @@ if TYPE_CHECKING:
 class Constants(Struct):
     """Constants."""
 
+    enabled: Annotated[int, "1", "0: commands feed through to the measurement of their tick"]
     fading: Annotated[float, "1", "factor per tick of a difference that fades"]
-    longest: Annotated[float, "tick", "time without a measurement until the commands go to zero"]
+    longest: Annotated[float, "tick", "time without an input until the commands go to zero"]
 
 
 class State(Struct):
@@ -34,7 +38,7 @@ class State(Struct):
 
     difference: Annotated[float, "y", "slow part of y - prediction"]
     fading: Annotated[float, "y", "C's y minus the measurement or its stand-in, fading"]
-    elapsed: Annotated[float, "tick", "ticks since the last measurement"]
+    elapsed: Annotated[float, "tick", "ticks since the last tick with both inputs"]
 
 
 @firmware

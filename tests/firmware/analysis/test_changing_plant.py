@@ -36,7 +36,6 @@ def commands(ticks):
     return np.stack([80.0 * np.sin(k / 9.0), 500.0 * np.cos(k / 5.0)], axis=1).tolist()
 
 
-@pytest.mark.every_case
 @pytest.mark.parametrize("stages", [LAGS, DEAD, SENSED_LATE, IMMEDIATE])
 def test_at_a_constant_speed_it_is_the_sampled_plant(stages):
     tick_s, ticks = 1e-3, 40

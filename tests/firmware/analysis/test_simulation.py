@@ -250,7 +250,6 @@ class AsAnyController:
         return self.firmware.step(reference, measurement)
 
 
-@pytest.mark.every_case
 @pytest.mark.parametrize("keeps", [False, True])
 @pytest.mark.parametrize("restarts", [(), (20,)])
 def test_the_firmware_as_any_controller_gives_the_bits_of_the_law(
@@ -310,7 +309,6 @@ class OneByOne:
         self.follow = Pushed(changes).follow
 
 
-@pytest.mark.every_case
 @pytest.mark.parametrize("changes", [False, True])
 def test_compiled_ticks_of_a_car_in_the_world_have_the_bits_of_single_ticks(changes: bool) -> None:
     together = Simulation(TABLE, Pushed(changes), REFERENCE, tick_s=TICK_S)

@@ -81,7 +81,6 @@ def changing(world, given, speed, stages=IMMEDIATE, tick_s=TICK_S, car=TABLE_3_2
     return np.array(found), np.array(forces), memory
 
 
-@pytest.mark.every_case
 @pytest.mark.parametrize("stages", ALL)
 def test_at_constant_speed_the_world_acts_as_an_ode_solver_says(stages):
     car = replace(TABLE_3_2, speed_mps=17.0)
@@ -106,7 +105,6 @@ def speeding(time_s):
     return 3.0 + 60.0 * time_s + 2.0 * math.sin(40.0 * time_s)
 
 
-@pytest.mark.every_case
 @pytest.mark.parametrize("stages", ALL)
 def test_while_speed_and_friction_change_too(stages):
     k = np.arange(TICKS + 1)[:, None]
@@ -141,9 +139,10 @@ def test_the_error_falls_with_the_fourth_power_of_the_tick():
         assert 12.0 < coarse / fine < 20.0
 
 
-@pytest.mark.every_case
-@pytest.mark.parametrize("speed", [0.05, 1.3, 2.0, 25.0])
-@pytest.mark.parametrize("variant", ["physics", "published"])
+@pytest.mark.parametrize(
+    ("speed", "variant"),
+    [(0.05, "physics"), (1.3, "published"), (2.0, "physics"), (25.0, "published")],
+)
 def test_a_constant_speed_and_road_is_exact(speed, variant):
     """Both steps, and the plant of these conditions in one matrix."""
     car, friction = replace(TABLE_3_2, speed_mps=speed), (0.4, 0.7)
@@ -176,7 +175,6 @@ def test_what_acts_together_is_the_sum_of_what_acts_alone():
     assert np.abs(sum(alone) - together).max() < 1e-12 * np.abs(together).max()
 
 
-@pytest.mark.every_case
 @pytest.mark.parametrize("stages", ALL)
 def test_a_calm_world_changes_no_bit(stages):
     calm = np.hstack([np.zeros((TICKS + 1, 4)), DRY])

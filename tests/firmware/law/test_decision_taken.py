@@ -62,31 +62,6 @@ def test_a_confirmed_loss_takes_the_candidate_over(before: int) -> None:
     assert (test.evidence, test.correlation, test.information, test.age) == (0.0, 0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("information", "least", "variance"),
-    [(10.0, 0.0, 0.09), (1000.0, 0.0, 0.009), (1000.0, 0.02, 0.02), (1000.0, 0.2, 0.09)],
-)
-def test_the_doubt_in_a_share_is_the_less_the_more_is_known(
-    information: float, least: float, variance: float
-) -> None:
-    """9 over the information on it, at least ``least_doubt``, at most ``share_variance``."""
-    table, state = set_up(20.0, CLEAR, 0.0, loss_model={"least_doubt": least})
-    state.sequential_test.correlation = 0.9 * information
-    state.sequential_test.information = information
-    tick(table, state)
-    # The moment to half of the 21 ticks that it took.
-    np.testing.assert_allclose(
-        state.mismatch.covariance.variances[:2], [variance, (0.5 * 21.0) ** 2], rtol=1e-9
-    )
-
-
-def test_information_of_less_than_a_suspicion_is_no_reason_to_doubt_more() -> None:
-    table, state = set_up(20.0, CLEAR, 0.0, loss_model={"share_variance": 100.0})
-    state.sequential_test.correlation, state.sequential_test.information = 0.9, 1.0
-    tick(table, state)
-    assert state.mismatch.covariance.variances[0] == pytest.approx(9.0 / 4.0)
-
-
 def test_a_confirmed_share_is_never_nothing() -> None:
     table, state = set_up(20.0, CLEAR, 0.0)
     state.sequential_test.correlation = 0.0

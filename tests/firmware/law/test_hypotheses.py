@@ -16,9 +16,7 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.fault_decision.hypotheses.candidate import (
-    has_failed,
     likeliest,
-    start,
     take_in,
 )
 from firmware_model.law.fault_decision.hypotheses.frozen import weigh_frozen
@@ -129,30 +127,6 @@ def test_where_nothing_is_known_the_size_is_none() -> None:
     limits = tables_of()[0].hypotheses.signatures.force_lost
     assert likeliest(3.0, 0.0, limits) == 0.0
     assert likeliest(-3.0, 1.0, limits) == limits.least == 0.5
-
-
-@pytest.mark.every_case
-@pytest.mark.parametrize(
-    ("age", "evidence", "foretold", "failed"),
-    [
-        (10.0, 0.0, 0.0, False),
-        (10.0, 0.0, -1.1, True),
-        (10.0, 0.0, math.nan, True),
-        (10.0, math.nan, 0.0, True),
-        (1000.0, 3.0, 0.0, True),
-        (1000.0, 8.0, 0.0, False),
-        (999.0, 3.0, 0.0, False),
-    ],
-)
-def test_a_candidate_begins_again_where_it_has_failed(
-    age: float, evidence: float, foretold: float, failed: bool
-) -> None:
-    table = build(DESIGN, Target(TICK_S, 1, "zoh", noise_rms=0.01))
-    own = controller.init(table)[0].hypotheses.signatures.torque_offset.candidate
-    own.age, own.evidence, own.foretold = age, evidence, foretold
-    assert has_failed(table.hypotheses.signatures.candidate, own) == failed
-    start(own)
-    assert not any(np.any(own[name]) for name in own.dtype.names)
 
 
 def test_what_each_fault_adds_to_the_estimate() -> None:

@@ -165,6 +165,7 @@ def test_theta_finds_the_place_of_a_car(place: tuple[float, float]) -> None:
     assert deviation.max() < 0.05
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("colour", [0.0, 0.9])
 def test_innovations_of_coloured_noise_on_another_car_are_white_and_as_large_as_said(
     colour: float,

@@ -64,6 +64,8 @@ def test_what_is_foretold_is_told_with_the_size_of_the_tick_before() -> None:
     [
         (1.0, 0.0, -1.0, True),
         (1.0, 0.0, -BELOW, False),
+        (10.0, 0.0, math.nan, True),
+        (10.0, math.nan, 0.0, True),
         (1000.0, 8.0, 0.0, True),
         (1000.0, 8.0 * ABOVE, 0.0, False),
         (1000.0 * BELOW, 8.0, 0.0, False),

@@ -32,6 +32,7 @@ def test_without_noise_a_number_that_is_repeated_tells_nothing() -> None:
         assert math.isfinite(table.hypotheses.frozen.least_motion) == told
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("verdict", [Verdict.FORCE_LOST, Verdict.SENSOR_DRIFTING])
 def test_no_verdict_takes_away_the_compensation_on_d_hat(verdict: Verdict) -> None:
     """The verdict may be wrong, and d̂ the loss that is compensated."""
@@ -48,6 +49,7 @@ def test_no_verdict_takes_away_the_compensation_on_d_hat(verdict: Verdict) -> No
     assert min(np.abs(forces[50:200])) > 100.0
 
 
+@pytest.mark.compiled
 def test_with_channel_2_lost_what_is_suspected_fades_without_a_bump() -> None:
     """F̂ gets what it had at first, and then less and less, whatever d̂ is."""
     table, state = started()

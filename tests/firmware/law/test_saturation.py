@@ -15,7 +15,6 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
-from firmware_model.law.actuator import saturate_rate
 
 CAR = steer_by_wire()
 DESIGN = design(CAR, DesignSpecification())
@@ -80,14 +79,3 @@ def test_the_rate_of_either_channel_is_limited_alone(limited: int) -> None:
     slew = rate * 1e-3
     np.testing.assert_allclose(change[:, limited - 1], slew, rtol=1e-12)
     assert change[0, 2 - limited] > 100.0 * slew
-
-
-@pytest.mark.parametrize(
-    ("command", "previous", "possible"),
-    [(9.0, 0.0, 2.0), (-9.0, 0.0, -2.0), (9.0, 4.5, 5.0), (-9.0, -4.5, -5.0), (1.0, 0.5, 1.0)],
-)
-def test_a_command_keeps_to_its_rate_and_then_to_its_magnitude(
-    command: float, previous: float, possible: float
-) -> None:
-    actuator = build(DESIGN, Target(1e-3, limit_1=5.0, rate_1=2000.0)).actuator_1
-    assert saturate_rate(actuator, command, previous) == possible

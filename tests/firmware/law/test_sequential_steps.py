@@ -164,6 +164,7 @@ def test_w_goes_on_with_each_command_and_is_shown_when_it_gets_there(latency: in
     ("correlation", "information", "share"),
     [
         (5.0, 0.0, 1.0),  # nothing is known of it
+        (3.0, math.nan, 1.0),
         (-2.0, 4.0, 0.0),
         (2.4, 4.0, 0.6),
         (5.2, 4.0, 1.0),  # 1.3, but 1 is within three deviations

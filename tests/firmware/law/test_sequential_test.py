@@ -27,7 +27,6 @@ from firmware_model.law import controller
 from firmware_model.law.fault_decision.likelihood_ratio import (
     lost_share,
     start_candidate,
-    update_test,
 )
 from firmware_model.law.filters.biquad import output
 from firmware_model.law.status import FaultState
@@ -200,30 +199,6 @@ def test_the_share_is_the_part_of_the_torque_that_is_lost(left: float) -> None:
     assert shares == pytest.approx(1.0 - left, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    ("correlation", "information", "share"),
-    [(1.0, 4.0, 0.25), (-1.0, 4.0, 0.0), (9.0, 4.0, 1.0), (0.0, 0.0, 1.0), (3.0, math.nan, 1.0)],
-)
-def test_a_share_is_none_to_all(correlation: float, information: float, share: float) -> None:
-    table = build(DESIGN, target())
-    test = controller.init(table)[0].sequential_test
-    test.correlation, test.information = correlation, information
-    assert lost_share(table.sequential_test, test) == share
-
-
-@pytest.mark.parametrize(
-    ("best", "information", "share"), [(0.9, 1e2, 0.9), (1.2, 1e2, 1.0), (1.2, 1e4, 1.17)]
-)
-def test_more_than_all_is_lost_where_cars_differ_by_three_deviations(
-    best: float, information: float, share: float
-) -> None:
-    """1/√(Σ f²/S) is that of least squares; a channel 1 may do more to a car than to the model."""
-    table = build(DESIGN, target(1, other_cars(1)))
-    test = controller.init(table)[0].sequential_test
-    test.correlation, test.information = best * information, information
-    assert lost_share(table.sequential_test, test) == pytest.approx(share, rel=1e-9)
-
-
 def test_a_candidate_is_as_old_as_the_ticks_that_it_has_seen() -> None:
     tables = changed(build(DESIGN, target()), **FOR_EVER)
     state, ages = controller.init(tables[0])[0], []
@@ -253,24 +228,6 @@ def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency: int
     expected = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, pulse)
     assert np.abs(expected).max() > 0.0
     np.testing.assert_allclose(answers[start:], expected[start:], rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("evidence", "grown", "again"),
-    [(0.5, 1.05, True), (0.5, 1.15, False), (9.0, 1.05, False), (-2.0, 2.0, True)],
-)
-def test_a_candidate_that_learns_no_more_begins_again(
-    evidence: float, grown: float, again: bool
-) -> None:
-    """At twice its age with less than a tenth more information, unless it is a suspicion."""
-    table = build(DESIGN, target())
-    state = controller.init(table)[0]
-    test = state.sequential_test
-    test.age, test.evidence, test.information = 63.0, evidence, 8.0 * grown
-    test.half_age, test.half_information = 32.0, 8.0
-    state.mismatch.variance = NOISE_RMS**2
-    update_test(table, state, 0.0, 0.8)  # nothing acts, so this tick tells nothing
-    assert test.age == (0.0 if again else 64.0)
 
 
 def test_evidence_that_overflowed_begins_again() -> None:

@@ -6,69 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy import signal
 
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import steer_by_wire
-from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
-from firmware_model.discretisation.tustin import RULES
 from firmware_model.firmware import Firmware
-from firmware_model.law.filters.biquad import advance, at_rest
-from firmware_model.law.filters.shortfall import make_up
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
 
 CAR = steer_by_wire()
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.01, alpha_q=3))
 TICK_S, LATENCY = 0.001, 1
-
-
-def responses(sections: Sections, short: FloatArray, ticks: int) -> tuple[FloatArray, FloatArray]:
-    """The missing output after ``short`` if nothing more is done, and what one unit adds."""
-    free = signal.sosfilt(sections.sos, np.concatenate([short, np.zeros(ticks)]))[len(short) :]
-    return free, signal.sosfilt(sections.sos, np.eye(1, ticks)[0])
-
-
-def gave(sections: Sections, short: FloatArray, slew: float = np.inf) -> float:
-    """The make-up of the firmware after ``short``."""
-    firmware = Firmware(build(DESIGN, Target(TICK_S, estimator="zoh", rate_1=slew / TICK_S)))
-    table, state = firmware._tables[0], at_rest()
-    cascade, rows = table.estimator.channel_1, len(sections.coefficients)
-    cascade.n = rows
-    cascade.coefficients[:rows] = sections.coefficients
-    table.shortfall_1.gain[:rows] = make_up_gain(sections)
-    for value in short.tolist():
-        advance(cascade, state, value)
-    return float(make_up(table.shortfall_1, cascade, table.actuator_1, state))
-
-
-shorts = st.lists(st.floats(-100.0, 100.0), min_size=1, max_size=60).filter(any).map(np.array)
-
-
-@settings(max_examples=20)
-@given(shorts, st.sampled_from(["zoh", "tustin", "tustin-held"]), st.integers(0, 1))
-def test_it_is_what_leaves_the_least_energy(short: FloatArray, rule: str, channel: int) -> None:
-    """Least squares of the missing output by one command, over a horizon in which all fades."""
-    g = (CAR.g1, CAR.g2)[channel]
-    sections = RULES[rule](g, TICK_S)  # type: ignore[index]
-    free, unit = responses(sections, short, 6000)
-    best = float(unit @ free) / float(unit @ unit)
-    assert gave(sections, short) == pytest.approx(best, rel=1e-6, abs=1e-9)
-
-
-@pytest.mark.compiled
-@given(shorts, st.floats(0.1, 500.0))
-def test_it_is_no_more_than_a_tick_can_take_back(short: FloatArray, slew: float) -> None:
-    sections = RULES["zoh"](CAR.g1, TICK_S)
-    assert gave(sections, short, slew) == pytest.approx(
-        np.clip(gave(sections, short), -slew, slew), rel=1e-9
-    )
 
 
 def driven(of: Target, makes_up: bool, reference: FloatArray, **how: FloatArray) -> Trace:

@@ -172,7 +172,7 @@ def test_a_tick_without_a_measurement_tells_the_other_cars_and_the_candidate_wha
     acting = [float(state.estimator.delay_1[state.estimator.delay_index])]
     acting.append(float(state.estimator.delay_2[state.estimator.delay_index]))
     w = float(state.sequential_test.previous_output)
-    controller.step(table, state, math.inf, math.nan)
+    controller.step(table, state, math.inf, 0.0)
     assert [float(state.other_cars.command_1), float(state.other_cars.command_2)] == acting
     assert acting[0] != 0.0
     assert state.sequential_test.previous_output != w
@@ -250,7 +250,7 @@ def test_a_stop_owes_what_c_and_f_hat_would_have_asked_for(on_confirmation: bool
         assert short_2 != 0.0
     advance(table.estimator.channel_1, was.shortfall_1, short_1)
     advance(table.estimator.channel_2, was.shortfall_2, short_2)
-    controller.step(table, state, math.nan, 0.0)
+    controller.step(table, state, 1.0, math.nan)
     for name in ("shortfall_1", "shortfall_2"):
         np.testing.assert_array_equal(state[name].accumulators, was[name].accumulators)
     assert was.shortfall_1.accumulators.any()

@@ -42,16 +42,6 @@ def test_a_controller_is_one_where_no_more_are_asked_for() -> None:
     assert len(controller.init(table_of(), 3)) == 3
 
 
-def test_of_many_each_answers_as_if_it_were_alone() -> None:
-    tables, states = np.array([table_of()] * 2), controller.init(table_of(), 2)
-    alone = [controller.init(table_of())[0] for _ in range(2)]
-    inputs = [(1.0, 0.0), (-0.3, 0.02)]
-    controller.step_many(tables, states, *np.array(inputs).T)
-    for each, its, (reference, y) in zip(states, alone, inputs, strict=True):
-        controller.step(table_of(), its, reference, y)
-        assert each["command_1"] == its.command_1 != 0.0
-
-
 def test_in_a_safe_stop_f1_follows_what_the_actuators_still_do() -> None:
     table = table_of(0, safe_stop_s=4 * TICK_S)
     state = controller.init(table)[0]

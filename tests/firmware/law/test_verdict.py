@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.fault_decision.hypotheses.verdict import (
-    clear_hypotheses,
     judge,
     other_car_evidence,
     torque_evidence,
@@ -280,16 +278,3 @@ def test_another_car_is_told_by_the_direction_in_which_it_differs_most_clearly(
     variances = np.diag(covariance_of(state.mismatch))[cars]
     expected = max(0.5 * np.asarray(state.mismatch.theta)[cars] ** 2 / variances)
     assert other_car_evidence(TABLES[0], state) == pytest.approx(expected)
-
-
-def test_after_a_clearing_nothing_is_known() -> None:
-    state = state_of(Verdict.SENSOR_BIASED)
-    state.hypotheses.evidence[:] = 3.0
-    state.hypotheses.found_size = state.hypotheses.frozen.repetitions = 2.0
-    state.hypotheses.sensor_error.offset = 0.1
-    state.hypotheses.sensor_error.answer.accumulators[:] = state.hypotheses.found = 3.0
-    state.hypotheses.signatures.ramp = -4.0
-    state.hypotheses.signatures.force_lost.candidate.evidence = math.inf
-    clear_hypotheses(state)
-    fresh = controller.init(TABLES[0])[0]
-    assert state.hypotheses.tobytes() == fresh.hypotheses.tobytes()

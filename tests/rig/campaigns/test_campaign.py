@@ -110,6 +110,8 @@ def test_the_table_has_types_units_and_verdicts(done: CampaignFolder) -> None:
     units = table.attrs["units"]
     assert units["deviation_peak_after_fault_mps2"] == "m/s²"
     assert (units["simulated_s"], units["torque_peak_nm"]) == ("s", "N m")
+    assert (units["plant.mass_kg"], units["astray_m"]) == ("kg", "m")
+    assert units["false_alarms_per_hour"] == "1/h"
     assert not {"run", "command", "passed.small"} & set(units)
 
 
@@ -158,7 +160,7 @@ def test_a_process_that_is_killed_costs_nothing(
 
     def kill_one(count: int) -> None:
         processes = fork_server_and_workers()
-        if len(victims) < 2 and count > 4 * len(victims) and len(processes) > 1:
+        if not victims and len(processes) > 1:
             victim = processes[0 if which == "fork server" else 1]
             victims.append(victim.pid)
             victim.kill()

@@ -31,14 +31,7 @@ def pressed_at(module: str, folder: Path, *arguments: str, **options: object) ->
     return done.returncode, done.stderr
 
 
-MODULES = [
-    "can_rig.cli.main",
-    "click",
-    "rich.console",
-    "numpy",
-    "numba",
-    "can_rig.assessment.stability",
-]
+MODULES = ["click", "numpy", "can_rig.assessment.stability"]
 
 
 @pytest.mark.parametrize("module", MODULES)

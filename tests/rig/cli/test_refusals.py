@@ -37,6 +37,25 @@ def test_the_folder_of_an_output_must_exist(words: tuple[str, ...], tmp_path: Pa
     assert [path.name for path in tmp_path.iterdir()] == ["a.log"]
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("decode", "a.log", "--out", "/dev/full"), "/dev/full: is a file; must be a folder"),
+        (("decode", "a.log", "--out", "a.log/x.csv"), "a.log/x.csv: a.log is a file; --out makes"),
+        (("export", "--out", "/dev/full"), "/dev/full: is a file; must be a folder"),
+        (("run", "thesis-step", "--out", "a.log/x/y"), "a.log: is a file; must be a folder"),
+    ],
+    ids=range(4),
+)
+def test_a_file_in_place_of_a_folder_is_named(
+    words: tuple[str, ...], said: str, tmp_path: Path
+) -> None:
+    done = asked(*words)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: {said}")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.log"]
+
+
 def test_a_new_folder_of_decoded_messages_is_made(tmp_path: Path) -> None:
     assert asked("decode", "a.log", "--out", "new").returncode == 0
     assert (tmp_path / "new").is_dir()

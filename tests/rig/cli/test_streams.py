@@ -58,7 +58,7 @@ def test_a_full_disk_at_standard_output_is_one_line(words: tuple[object, ...]) -
     assert done.stderr == ("error: standard output cannot be written: No space left on device\n")
 
 
-@pytest.mark.parametrize("files", [6, 9, 12])
+@pytest.mark.parametrize("files", [6, 12])
 def test_too_few_open_files_are_one_line_and_no_traceback(files: int, tmp_path: Path) -> None:
     def limited() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (files, files))
@@ -66,7 +66,6 @@ def test_too_few_open_files_are_one_line_and_no_traceback(files: int, tmp_path: 
     for number, words in enumerate(
         (
             ("run", *SHORT, "--out", tmp_path / "two"),
-            ("decode", LOG, "--out", tmp_path / "x.parquet"),
             ("campaign", "losses", "--runs", "2", "--out", tmp_path / "campaign"),
         )
     ):
@@ -75,3 +74,4 @@ def test_too_few_open_files_are_one_line_and_no_traceback(files: int, tmp_path: 
         assert done.returncode in {0, 2, 3}
         if done.returncode:
             assert done.stderr.splitlines()[-1].startswith("error: ")
+            assert number or not (tmp_path / "two").exists()

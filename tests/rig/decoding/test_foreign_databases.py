@@ -158,6 +158,16 @@ def test_more_values_of_a_multiplexer_than_can_be_listed(tmp_path: Path, values:
         ("BO_ 258", 'CM_ "x"\n\nBO_ 258', "line 7: 'CM_ \"x\"' must end with a semicolon"),
         (
             "BO_ 258",
+            'CM_ "x;\nCM_ "y, z";\nBO_ 258',
+            "line 7: 'CM_ \"x;' must have quotation marks",
+        ),
+        (
+            "BO_ 258",
+            'CM_ "a\nb";\nCM_ "x;\nBO_ 258',
+            "line 9: 'CM_ \"x;' must have quotation marks",
+        ),
+        (
+            "BO_ 258",
             "BO_ 2147483647",
             "line 7: .*more than 11 bits in message OTHER.*must be at most",
         ),

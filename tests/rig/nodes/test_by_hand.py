@@ -1,13 +1,12 @@
 """The nodes by hand, in two terminals: who starts first, and how each ends."""
 
 import os
-import signal
 import time
 
 import pytest
 
 from tests.helpers import record, rig, start
-from tests.rig.nodes.running import LONG, lines_of, one_line, wait_for
+from tests.rig.nodes.running import lines_of, one_line, wait_for
 
 
 @pytest.mark.parametrize("first", ["plant", "controller"])
@@ -35,24 +34,6 @@ def test_a_node_that_stays_alone_says_whom_it_waited_for(node, other, tmp_path):
     done = rig(node, "thesis-step", "--bus", bus, "--wait", "0.3")
     assert done.returncode == 3
     assert f"no frame from the {other} node for 0.3 s" in one_line(done.stderr)
-
-
-def test_ctrl_c_on_each_node_by_hand(tmp_path):
-    log = tmp_path / "bus.log"
-    common = ["thesis-step", *LONG, "--bus", f"local:{tmp_path / 'bus'}"]
-    nodes = {"controller": start("controller", *common)}
-    nodes["plant"] = start("plant", *common, "--log", log)
-    try:
-        wait_for(lambda: lines_of(log) > 500)
-        for process in nodes.values():
-            process.send_signal(signal.SIGINT)
-            _, errors = process.communicate(timeout=60)
-            assert process.returncode == 130
-            assert "Traceback" not in errors
-    finally:
-        for process in nodes.values():
-            process.kill()
-            process.communicate()
 
 
 def test_the_log_of_before_stands_until_there_is_a_new_one(tmp_path):

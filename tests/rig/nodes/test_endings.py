@@ -34,13 +34,14 @@ def test_after_sigkill_the_other_ends_the_line_names_it_and_no_tick_is_lost(
     before = lines_of(log) // 5
     os.kill(nodes[victim], signal.SIGKILL)
     wait_for(lambda: not alive(nodes[left]))
-    _, errors = process.communicate(timeout=60)
+    output, errors = process.communicate(timeout=60)
     assert process.returncode == 3
     line = one_line(errors)
     assert f"the {victim} node was ended by SIGKILL" in line
     assert f"the {left} node" not in line
-    folder_is_complete(log.parent, victim)
-    assert whole_ticks(log) >= before
+    summary = folder_is_complete(log.parent, victim)
+    assert summary["ticks"] == whole_ticks(log) >= before
+    assert f"rate {summary['ticks_per_s']:.0f} ticks/s" in " ".join(output.split())
 
 
 def test_a_node_that_hangs_is_named_and_does_not_stay(thesis_step):
@@ -54,15 +55,12 @@ def test_a_node_that_hangs_is_named_and_does_not_stay(thesis_step):
     folder_is_complete(log.parent, victim)
 
 
-@pytest.mark.parametrize("how", ["the run", "its group, thrice"])
-def test_ctrl_c_ends_both_cleanly_and_leaves_a_complete_folder(how, thesis_step):
+def test_ctrl_c_ends_both_cleanly_and_leaves_a_complete_folder(thesis_step):
+    """Thrice and to the whole group: what a terminal does, and an impatient person."""
     process, log, nodes = thesis_step
-    if how == "the run":
-        process.send_signal(signal.SIGINT)
-    else:  # what a terminal does, and an impatient person
-        for _ in range(3):
-            os.killpg(process.pid, signal.SIGINT)
-            time.sleep(0.2)
+    for _ in range(3):
+        os.killpg(process.pid, signal.SIGINT)
+        time.sleep(0.2)
     output, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     for text in (output, errors):

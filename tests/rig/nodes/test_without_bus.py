@@ -37,7 +37,7 @@ VALUES = (
     "reference_mps2", "dstar_mps2", "torque_nm", "force_difference_n", "fault_estimate_mps2"
 )  # fmt: skip
 NETWORK = network_of(load("default"))
-SHORT = ["duration_s=0.5", "fault.at_s=0.3"]
+SHORT = ["duration_s=0.35", "fault.at_s=0.2"]
 SLOW = ("chassis-can", "chassis-can-coarse", "chassis-cluster")
 NONLINEAR = "plant.kind=can_rig.plant.nonlinear_car:NonlinearCar"
 CASES = [

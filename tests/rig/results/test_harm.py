@@ -127,3 +127,12 @@ def test_a_verdict_from_before_the_fault_does_not_count() -> None:
     signals = replace(signals_without_log(scenario), verdict=codes)
     values = harm_metrics(scenario, signals, torque_lost(scenario, signals))
     assert values["verdict"] == "SENSOR_BIASED"
+
+
+def test_the_verdicts_of_several_faults_count_from_the_first() -> None:
+    settings = ["fault.1.kind=sensor-biased", "fault.1.at_s=0.004", "fault.1.bias_mps2=1"]
+    scenario = load("ideal", ["duration_s=0.006", "fault.at_s=0.001", *settings])
+    codes = np.array([5.0, 1.0, 1.0, 1.0, 4.0, 4.0])
+    signals = replace(signals_without_log(scenario), verdict=codes)
+    values = harm_metrics(scenario, signals, torque_lost(scenario, signals))
+    assert values["verdict"] == "TORQUE_LOST"

@@ -142,12 +142,13 @@ def test_memory_hardly_grows_with_a_run(
     monkeypatch.setattr("can_rig.results.report.web_page.MOST_POINTS", 1000)
     monkeypatch.setattr("can_rig.logs.reading.read_log.__defaults__", (1000, *_rest()))
     peaks = []
-    for ticks in (2000, 2000, 12000):  # the first one compiles, imports and remembers
-        tracemalloc.start()
+    for ticks in (2000, 2000, 9000):  # the first one compiles, imports and remembers
+        if peaks:
+            tracemalloc.start()
         run(tmp_path / str(len(peaks)), f"duration_s={ticks / 1000}", "fault.at_s=0.5", bus=bus)
-        peaks.append(tracemalloc.get_traced_memory()[1])
+        peaks.append(tracemalloc.get_traced_memory()[1])  # 0 of the first
         tracemalloc.stop()
-    assert (peaks[2] - peaks[1]) / 10_000 < 130.0
+    assert (peaks[2] - peaks[1]) / 7_000 < 130.0
 
 
 def _rest() -> tuple[object, ...]:

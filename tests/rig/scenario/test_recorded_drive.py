@@ -179,6 +179,7 @@ BAD = {
     "time_s,speed_mps,friction,rear_friction\n0,1,1,1\n": "must not stand beside rear_friction",
     "time_s,speed_mps\n0,\n": "has no rows",
     "0,10\x00\n": "line 1: must be text, without NUL",
+    '0,10\n1,"11\n2,12\n': "line 2: '1,\"11': must have quotation marks in pairs",
 }
 
 

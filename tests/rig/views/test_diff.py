@@ -136,12 +136,18 @@ def test_bad_words_are_one_line(runs: Path) -> None:
 
 def test_tolerances_and_units() -> None:
     assert tolerances_of(["a=0.5", "b=1e-3"]) == {"a": 0.5, "b": 1e-3}
-    assert [unit(n) for n in ("torque_nm", "force_difference_n", "dstar_mps2", "mode")] == [
-        "N m",
-        "N",
-        "m/s²",
-        "",
-    ]
+    expected = {
+        "torque_nm": "N m",
+        "force_difference_n": "N",
+        "dstar_mps2": "m/s²",
+        "yaw_rate_rad_per_s": "rad/s",
+        "limits.force_difference_rate_n_per_s": "N/s",
+        "plant.steering_damping_nms_per_rad": "N m s/rad",
+        "sensor.drift_per_s": "",
+        "per_s": "",
+        "mode": "",
+    }
+    assert {name: unit(name) for name in expected} == expected
 
 
 @pytest.mark.filterwarnings("error")
