@@ -38,7 +38,7 @@ TARGETS: dict[str, dict[str, Any]] = {
 
 
 def records(name: str, precision: Any) -> list[bytes]:
-    """The whole state after every tick: through a loss, a recovery, missing measurements, a reset."""
+    """The whole state after every tick: through a loss, a return, missing inputs, a reset."""
     target = Target(TICK_S, precision=precision, **{"estimator": "zoh", **TARGETS[name]})
     table = build(DESIGN, target)
     states, rng = controller.init(table), np.random.default_rng(8)
