@@ -32,16 +32,6 @@ def test_a_command_is_clipped_at_both_limits(command: float, limit: float) -> No
     assert saturate(actuator(limit), command) == np.clip(command, -limit, limit)
 
 
-@given(some, some, size, size)
-def test_its_rate_is_clipped_too_and_the_limit_comes_first(
-    command: float, previous: float, limit: float, slew: float
-) -> None:
-    previous = float(np.clip(previous, -limit, limit))
-    within_rate = np.clip(command, previous - slew, previous + slew)
-    expected = np.clip(within_rate, -limit, limit)
-    assert saturate_rate(actuator(limit, slew), command, previous) == expected
-
-
 def test_each_end_of_the_rate_and_of_the_limit() -> None:
     """Limits are applied by hand: no limit hides a second limit."""
     motor = actuator(limit=10.0, slew=3.0)

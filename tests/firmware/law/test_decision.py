@@ -220,15 +220,3 @@ def test_a_command_that_acts_within_the_tick_is_no_fault() -> None:
     assert table.estimator.feedthrough_2 * 2.0 > 100.0 * 1e-6
     firmware.reset(2.0)
     assert [firmware.step(2.0, y).fault_state for _ in range(5)] == [CLEAR] * 5
-
-
-def test_after_a_reset_the_evidence_begins_again() -> None:
-    """Reset while SUSPECTED: what was seen before counts no more."""
-    firmware = Firmware(build(TAME, confirming(noise_rms=0.01)))
-    falling = 1.0 - 0.004 * np.arange(1, 40) ** 1.5
-    firmware.reset(1.0)
-    states = [firmware.step(1.0, y).fault_state for y in falling.tolist()]
-    first = states.index(SUSPECTED)
-    assert first > 1
-    firmware.reset(1.0)
-    assert [firmware.step(1.0, y).fault_state for y in falling.tolist()] == states

@@ -220,18 +220,6 @@ def test_what_an_actuator_adds_is_no_bias_of_d():
     assert not PlantFaults(scenario).bias(TICKS).any()
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        ["kind=actuator-offset", "offset=0"],
-        ["kind=actuator-drift", "drift_per_s=0"],
-        ["kind=actuator-oscillating", "amplitude=0"],
-    ],
-)
-def test_to_add_zero_changes_nothing(settings):
-    assert applied(*(f"fault.{each}" for each in settings), commands=RAMP) == RAMP
-
-
 # --- injected during a run -----------------------------------------------------------------------
 
 
