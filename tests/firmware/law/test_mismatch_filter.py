@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -103,6 +103,7 @@ def test_a_car_that_has_never_moved_may_be_any() -> None:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("precision", ["float64", "float32"])
+@settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1), noise=st.sampled_from([1e-18, 1e-8, 1e-2]),
        moves=st.sampled_from([0.0, 1e-4, 1.0]))  # fmt: skip
 def test_the_variance_of_an_innovation_is_never_below_that_of_the_noise(
