@@ -278,8 +278,10 @@ class ReplayedDrive:
 
     def __repr__(self) -> str:
         """Scenario and ticks."""
-        ticks, held = self.summary["ticks"], self.summary["ticks_hold"]
-        return f"<recorded drive through {self.scenario.name}: {ticks} ticks, {held} of them HOLD>"
+        ticks, blind = self.summary["ticks"], self.summary["ticks_blind"]
+        return (
+            f"<recorded drive through {self.scenario.name}: {ticks} ticks, {blind} of them BLIND>"
+        )
 
 
 @in_python

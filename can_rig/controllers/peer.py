@@ -19,7 +19,7 @@ METHODS: Final = {
     "reset": "reset(reference)",
     "step": "step(inputs) -> (command_1, command_2) or Answer",
 }
-HOLD: Final = int(Mode.HOLD)
+BLIND: Final = int(Mode.BLIND)
 CODES: Final = {"mode": 3, "fault_state": 3, "verdict": 9}
 """The largest code of each part of an answer."""
 
@@ -102,7 +102,7 @@ class Peer:
         if not (math.isfinite(inputs.reference) and math.isfinite(inputs.measurement)):
             if self._hold is not None:
                 self._call("hold", self._hold)
-            return Answer(*self.commands, mode=HOLD)
+            return Answer(*self.commands, mode=BLIND)
         answer = self._checked(self._call("step", self.controller.step, inputs))
         self.commands = self._possible(answer)
         command_1, command_2 = self.commands

@@ -12,7 +12,7 @@ The controller's own commands are what it would have sent, and act on nothing. W
 in the log, the reference is D* itself: then the torque command follows the torque that would make
 the model move as the car did.
 
-Where the log has the speed, the design follows the speed. Ticks below the lowest design are HOLD.
+Where the log has the speed, the design follows the speed. Ticks below the lowest design are BLIND.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ class Replayed:
             "tick_s": self.scenario.tick_s,
             "ticks": len(self.columns),
             "ticks_run": int(running.sum()),
-            "ticks_hold": int((mode == Mode.HOLD).sum()),
+            "ticks_blind": int((mode == Mode.BLIND).sum()),
             "from_s": float(self.time_s[0]),
             "to_s": float(self.time_s[-1]),
             "design_speeds_mps": list(self.design_speeds_mps),

@@ -2,7 +2,7 @@
 
 **The rule.** A tick takes the last sample of each signal at its time or before, never a later one.
 A sample older than ``max_age_s`` counts as missing, and so does one for which the database has a
-word, such as "not available". A tick without one of its inputs is a tick without inputs: HOLD.
+word, such as "not available". A tick without D* is BLIND.
 
 Every signal has the times of its own frames, whatever the message, the bus and the rate.
 """

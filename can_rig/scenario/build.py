@@ -209,6 +209,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         suspicions_per_hour=scenario.budget.suspicions_per_hour,
         on_confirmation=chosen.compensation == "on-confirmation",
         safe_stop_s=chosen.safe_stop_s,
+        blind_s=limits.blind_s,
         precision=chosen.precision,
     )
 

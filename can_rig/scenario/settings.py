@@ -302,7 +302,7 @@ class ReferenceSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class LimitSettings:
-    """Largest commands and command rates of the controller.
+    """Largest commands and command rates of the controller, and its longest time without an input.
 
     The controller assumes equal limits of the actuators; ``plant.torque_actuator.limit_nm`` and
     similar keys set the actuators' limits. Without a limit, the frame's range limits the command.
@@ -312,6 +312,7 @@ class LimitSettings:
     torque_rate_nm_per_s: PositiveFloat | None = None
     force_difference_n: PositiveFloat | None = None
     force_difference_rate_n_per_s: PositiveFloat | None = None
+    blind_s: Moment = 1.0
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -209,6 +209,12 @@ def build(design: ContinuousDesign, target: Target) -> Table:
     _fill_decision(table, target, white)
     _fill_mismatch(table, design, target, white)
     fill_hypotheses(table, target)
+    table.prediction.enabled = not (
+        table.estimator.feedthrough_2
+        or (filters.estimator_1.feedthrough and table.estimator.shown_ticks_1 == 0)
+    )
+    table.prediction.fading = _memory(target, SLOWEST_TRANSFER_S)
+    table.prediction.longest = math.ceil(target.blind_s / target.tick_s)
     table.safe_stop.duration = math.ceil(target.safe_stop_s / target.tick_s)
     tables.flags.writeable = False
     made: Table = tables[0]

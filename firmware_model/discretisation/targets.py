@@ -40,6 +40,7 @@ class Target:
             channel's commands, instead of always with d̂ (the thesis).
         safe_stop_s: time from the verdict "both actuators lost" to zero commands; 0: the commands
             go on.
+        blind_s: longest time without an input; then the commands go to zero in the same time.
         prewarp_rad_per_s: frequency at which C and F̂ keep their continuous response exactly.
         precision: of every number in the table and the state.
     """
@@ -63,6 +64,7 @@ class Target:
     suspicions_per_hour: float = 3600.0
     on_confirmation: bool = False
     safe_stop_s: float = 0.0
+    blind_s: float = 1.0
     prewarp_rad_per_s: float | None = None
     precision: Precision = "float64"
 
@@ -95,6 +97,7 @@ class Target:
             "disturbance",
             "resolution",
             "safe_stop_s",
+            "blind_s",
         ):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ParameterError(

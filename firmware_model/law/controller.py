@@ -14,15 +14,15 @@ command at once, so F̂ may work on s w = s G1 u1 instead, with s the lost share
 the loop is then halved.
 
 **Whose fault it is.** The decision subtracts a known sensor bias from d̂; no other module does. A
-frozen sensor gives no information: the controller restores the commands from before the freeze and
-treats the inputs as missing. With channel 2 lost no suspicion is compensated. With both channels
-lost the commands go to zero, if the table asks for a safe stop. F̂ on d̂ compensates under every
-verdict.
+frozen sensor gives no information: its measurement counts as missing. With channel 2 lost no
+suspicion is compensated. With both channels lost the commands go to zero, if the table asks for a
+safe stop. F̂ on d̂ compensates under every verdict.
 
-**Inputs that are missing.** The controller holds the commands, and the held commands act on the
-plant. So every model of the plant goes on with the held commands: F1, w (a lost channel owes these
-commands too), and F̂ where F̂ works on w. Modules that need inputs (C, the reference shaper, the
-decision) wait.
+**Inputs that are missing.** The model's prediction stands in for a missing measurement
+(``filters.prediction``): C is a feedforward then, and only the decision waits. Without a reference
+the controller holds the commands. The held commands act on the plant, so every model of the plant
+goes on with them: F1, w (a lost channel owes these commands too), and F̂ where F̂ works on w. After
+the longest time without an input the commands go to zero, until both inputs come.
 """
 
 from __future__ import annotations
@@ -37,11 +37,10 @@ from firmware_model.law.actuator import quantise, saturate, saturate_rate
 from firmware_model.law.fault_decision.bumpless_transfer import release, transfer
 from firmware_model.law.fault_decision.decision import (
     CLEAR,
-    acting_commands,
     compensated_output,
     decide,
+    show_acting_commands,
 )
-from firmware_model.law.fault_decision.hypotheses.frozen import go_back, note_commands
 from firmware_model.law.fault_decision.hypotheses.sensor_error import advance_sensor_error
 from firmware_model.law.fault_decision.hypotheses.signatures import advance_signatures
 from firmware_model.law.fault_decision.hypotheses.verdict import (
@@ -62,16 +61,21 @@ from firmware_model.law.fault_decision.mismatch import clear_mismatch, settle_mi
 from firmware_model.law.fault_decision.other_cars import (
     advance_other_cars,
     settle_other_cars,
-    show_other_cars,
 )
 from firmware_model.law.fault_decision.safe_stop import stops, take_commands_back
 from firmware_model.law.filters.biquad import advance, output, settle
 from firmware_model.law.filters.estimator import (
     advance_model,
-    expect_measurement,
     model_output,
     settle_estimator,
     take_measurement,
+)
+from firmware_model.law.filters.prediction import (
+    clear_prediction,
+    distrust,
+    note_measurement,
+    predicted,
+    stand_in,
 )
 from firmware_model.law.filters.shortfall import make_up
 from firmware_model.law.filters.tracking import (
@@ -93,7 +97,7 @@ if TYPE_CHECKING:
     from firmware_model.law.layout import State, Table
 
 
-MODE_INIT, MODE_RUN, MODE_HOLD = int(Mode.INIT), int(Mode.RUN), int(Mode.HOLD)
+MODE_INIT, MODE_RUN, MODE_BLIND = int(Mode.INIT), int(Mode.RUN), int(Mode.BLIND)
 MODE_SAFE_STOP = int(Mode.SAFE_STOP)
 
 
@@ -116,8 +120,7 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
     """One tick: from the reference and D* of this tick to the commands of this tick.
 
     The answers are ``state.command_1``, ``state.command_2``, ``state.fault_estimate``,
-    ``state.mode`` and ``state.fault_state``. An input that is not finite changes no command: the
-    controller holds the last good commands, the models follow, and the mode says HOLD.
+    ``state.mode`` and ``state.fault_state``. An input that is not finite is missing.
 
     Args:
         table: the constant table of ``tables.build``.
@@ -126,32 +129,34 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         measurement: y (D*), likewise.
     """
     r, y = real(reference, state.reference), real(measurement, state.measurement)
-    if stops(table, state):
+    told = math.isfinite(r)
+    frozen = state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement
+    measured = math.isfinite(y) and not frozen
+    if stops(table, state, told and measured):
         take_commands_back(table, state)
-        hold(table, state)
+        go_on(table, state)
         state.mode = MODE_SAFE_STOP
-    elif not (math.isfinite(r) and math.isfinite(y)):
-        hold(table, state)
-    elif state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement:
-        go_back(table, state)
-        hold(table, state)
+    elif told and (measured or table.prediction.enabled):
+        compute(table, state, r, y, measured)
     else:
-        compute(table, state, r, y)
+        go_on(table, state)
+        state.mode = MODE_BLIND
 
 
 @firmware
-def compute(table: Table, state: State, r: float, y: float) -> None:
-    """A tick with a reference ``r`` and a measurement ``y`` to be used."""
-    note_commands(state, y)
-    state.reference, state.measurement = r, y
+def compute(table: Table, state: State, r: float, y: float, measured: bool) -> None:
+    """A tick with a reference ``r``, and a measurement ``y`` to be used where ``measured``."""
+    state.reference = r
     held_1, held_2 = state.command_1, state.command_2
     estimator, compensator = table.estimator, table.compensator
 
     # Every filter's answer to zero input: the output before this tick's commands.
     zero = real(0.0, held_1)
-    rest_1, _ = model_output(estimator, state.estimator, zero, held_2)
+    rest_1, before_2 = model_output(estimator, state.estimator, zero, held_2)
+    y = measurement_or_prediction(table, state, y, measured, rest_1 + before_2)
     tracked = tracked_reference(table, state)
-    wanted = tracked - table.tracking.feedback * (y + missing_output(table, state))
+    seen = y + state.prediction.fading + missing_output(table, state)
+    wanted = tracked - table.tracking.feedback * seen
     torque = asked_torque(table.tracking, state.tracking, wanted + table.tracking.feedback * rest_1)
     made_up = make_up(table.shortfall_1, estimator.channel_1, table.actuator_1, state.shortfall_1)
     wish_1 = torque + made_up
@@ -169,7 +174,10 @@ def compute(table: Table, state: State, r: float, y: float) -> None:
 
     # Without feedthrough of u2 the sum is the residual; with feedthrough u2 of this tick is
     # missing.
-    decide(table, state, known + estimator.feedthrough_2 * held_2, model_1, model_2)
+    if measured:
+        decide(table, state, known + estimator.feedthrough_2 * held_2, model_1, model_2)
+    else:
+        show_acting_commands(table, state)
 
     known_loss = compensator.on_confirmation > 0
     if known_loss:  # u2 = r2 + F̂ s w, with the w of this tick's command
@@ -190,26 +198,51 @@ def compute(table: Table, state: State, r: float, y: float) -> None:
     drive = drive if known_loss else estimate
     advance(compensator.filter, state.compensator.filter, drive)
     if not (math.isfinite(wish_1) and math.isfinite(wish_2)):
-        state.command_1, state.command_2 = held_1, held_2
-        clear_memories(table, state)
-        hold(table, state)
+        forget(table, state, held_1, held_2)
         return
     state.fault_estimate = estimate
-    state.mode = MODE_RUN
+    state.mode = MODE_RUN if measured else MODE_BLIND
     advance_models(table, state, torque - possible_1, force - possible_2)
 
 
 @firmware
-def hold(table: Table, state: State) -> None:
-    """A tick without inputs: the last commands are held, and the models follow them."""
-    state.mode = MODE_HOLD
+def forget(table: Table, state: State, held_1: float, held_2: float) -> None:
+    """A tick whose numbers overflow: its measurement is not used, and the commands are held."""
+    state.command_1, state.command_2 = held_1, held_2
+    clear_memories(table, state)
+    go_on(table, state)
+    state.mode = MODE_BLIND
+
+
+@firmware
+def measurement_or_prediction(
+    table: Table, state: State, y: float, measured: bool, model_output: float
+) -> float:
+    """Return y where ``measured``, otherwise what stands in for y."""
+    own, constants = state.prediction, table.prediction
+    lost = known_share(state) * loss_shown(table, state)
+    expected = predicted(table, state, model_output - lost)
+    if measured:
+        state.measurement = y
+        note_measurement(constants, own, y, expected)
+        return y
+    if math.isfinite(y):
+        distrust(own, y, expected)
+    stood_in: float = stand_in(constants, own, expected)
+    return stood_in
+
+
+@firmware
+def go_on(table: Table, state: State) -> None:
+    """A tick whose commands do not follow from its inputs: the models follow the commands."""
+    state.prediction.elapsed += real(1.0, state.command_1)
     model_1, model_2 = model_output(
         table.estimator, state.estimator, state.command_1, state.command_2
     )
     lost = known_share(state) * loss_shown(table, state)
-    expect_measurement(table.estimator, state.estimator, model_1 + model_2 - lost)
-    acting_1, acting_2 = acting_commands(table, state)
-    show_other_cars(table, state, acting_1, acting_2)
+    expected = predicted(table, state, model_1 + model_2 - lost)
+    take_measurement(table.estimator, state.estimator, expected)
+    show_acting_commands(table, state)
     asked_1 = track_on(table.tracking, state.tracking, state.command_1)
     short_1 = asked_1 - state.command_1
     short_2 = real(0.0, state.command_2)
@@ -266,6 +299,7 @@ def reset(table: Table, state: State, reference: float) -> None:
     state.shortfall_1.accumulators[:] = 0.0
     state.shortfall_2.accumulators[:] = 0.0
     release(state.bumpless_transfer)
+    clear_prediction(state.prediction)
     state.mode = MODE_INIT
 
 

@@ -64,6 +64,12 @@ from firmware_model.law.filters.estimator import (
 from firmware_model.law.filters.estimator import (
     State as EstimatorState,
 )
+from firmware_model.law.filters.prediction import (
+    Constants as PredictionConstants,
+)
+from firmware_model.law.filters.prediction import (
+    State as PredictionState,
+)
 from firmware_model.law.filters.tracking import (
     Constants as TrackingConstants,
 )
@@ -98,6 +104,7 @@ class Table(Struct):
     bumpless_transfer: Annotated[BumplessTransferConstants, "1", "of F̂ to s w"]
     hypotheses: Annotated[verdict.Constants, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopConstants, "1", "where both actuators are lost"]
+    prediction: Annotated[PredictionConstants, "1", "in place of a missing measurement"]
 
 
 class State(status.State):
@@ -118,7 +125,8 @@ class State(status.State):
     decision: Annotated[DecisionState, "1", "on the fault state"]
     bumpless_transfer: Annotated[BumplessTransferState, "1", "of F̂ to s w"]
     hypotheses: Annotated[verdict.State, "1", "hypotheses of the fault's place"]
-    safe_stop: Annotated[SafeStopState, "1", "where both actuators are lost"]
+    safe_stop: Annotated[SafeStopState, "1", "where the commands have to go"]
+    prediction: Annotated[PredictionState, "1", "in place of a missing measurement"]
 
 
 def table_type(precision: Precision = "float64") -> np.dtype[np.void]:

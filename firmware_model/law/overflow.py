@@ -15,6 +15,7 @@ from firmware_model.law.fault_decision.mismatch import clear_mismatch
 from firmware_model.law.fault_decision.other_cars import clear_other_cars, show_other_cars
 from firmware_model.law.filters.biquad import output
 from firmware_model.law.filters.estimator import clear_estimator, model_output
+from firmware_model.law.filters.prediction import clear_prediction
 from firmware_model.law.filters.shortfall import make_up
 from firmware_model.law.filters.tracking import missing_output
 from firmware_model.law.precision import real
@@ -42,6 +43,7 @@ def clear_memories(table: Table, state: State) -> None:
         clear_models(state)
     start_candidate(table, state)
     clear_hypotheses(state)
+    clear_prediction(state.prediction)
 
 
 @firmware

@@ -15,10 +15,12 @@ class Mode(IntEnum):
     """No tick has run since ``init`` or ``reset``."""
     RUN = 1
     """The last tick was computed from its inputs."""
-    HOLD = 2
-    """The last tick's input was not a finite number: the last good commands are held."""
+    BLIND = 2
+    """The last tick lacked an input. The model's prediction stood in for the measurement; without a
+    reference the commands were held."""
     SAFE_STOP = 3
-    """Both actuators are lost: the commands are taken back to zero, until ``reset``."""
+    """The commands are taken back to zero: until ``reset`` after the loss of both actuators, until
+    the next tick with both inputs after a long time without."""
 
 
 class FaultState(IntEnum):

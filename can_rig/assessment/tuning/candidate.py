@@ -559,12 +559,12 @@ def _finding(drives: Drives, plant: PlantSettings) -> Finding | None:
 
 def _limit_at_fault(scenario: Scenario, plant: PlantSettings) -> Refusal:
     """The limit that keeps D* of ``plant`` from rest."""
-    for reason, without in (
-        (Refusal.FORCE_LIMIT, ("force_difference_n",)),
-        (Refusal.TORQUE_LIMIT, ("torque_nm",)),
-        (Refusal.BOTH_LIMITS, ("force_difference_n", "torque_nm")),
+    own = scenario.limits
+    for reason, limits in (
+        (Refusal.FORCE_LIMIT, replace(own, force_difference_n=None)),
+        (Refusal.TORQUE_LIMIT, replace(own, torque_nm=None)),
+        (Refusal.BOTH_LIMITS, replace(own, force_difference_n=None, torque_nm=None)),
     ):
-        limits = replace(scenario.limits, **dict.fromkeys(without))
         drives = Drives(replace(scenario, limits=limits), network_of(scenario))
         if _finding(drives, plant) is None:
             return reason

@@ -98,8 +98,7 @@ def decide(
         model_2: G2 u2 likewise.
     """
     constants, test = table.decision, state.sequential_test
-    acting_1, acting_2 = acting_commands(table, state)
-    show_other_cars(table, state, acting_1, acting_2)
+    show_acting_commands(table, state)
     before, w = state.fault_state, loss_shown(table, state)
     known = sensor_error_shown(table, state)
     predict_mismatch(table, state, model_1 + model_2, w, earlier_shown(table, state))
@@ -156,15 +155,15 @@ def acquit(table: Table, state: layout.State) -> None:
 
 
 @firmware
-def acting_commands(table: Table, state: layout.State) -> tuple[float, float]:
-    """The commands visible in the measurement, without the known loss."""
+def show_acting_commands(table: Table, state: layout.State) -> None:
+    """Tell the other cars the commands visible in the measurement, without the known loss."""
     one = real(1.0, state.command_1)
     share = one - known_share(state) if state.fault_state == CONFIRMED else one
     command_1 = state.estimator.showing_1 * share
     command_2 = state.estimator.showing_2
     if table.estimator.shown_ticks_2 == 0:  # this tick's command is unknown yet, or held
         command_2 = state.command_2
-    return command_1, command_2
+    show_other_cars(table, state, command_1, command_2)
 
 
 @firmware

@@ -1,10 +1,12 @@
-"""Both actuators are lost: the commands are taken back to zero, without a bump.
+"""The commands are taken back to zero, without a bump.
 
-No command moves the plant any more, and a standing command would act at once if an actuator came
-back. So each command goes to zero in a straight line, as far as the rate limit allows, and stays
-zero until ``reset``, whatever the measurement. The models follow, as during a HOLD.
+Each command goes to zero in a straight line, as far as the rate limit allows. The models follow.
 
-A table with a duration of 0 only reports the verdict and goes on.
+- Both actuators are lost: no command moves the plant any more, and a standing command would act at
+  once if an actuator came back. The commands stay zero until ``reset``. A table with a duration of
+  0 only reports the verdict and goes on.
+- An input is missing for the longest time: a prediction is no better than its model. The line is as
+  long as that time, and the next tick with both inputs ends the stop.
 """
 
 from __future__ import annotations
@@ -38,17 +40,23 @@ class State(Struct):
 
 
 @firmware
-def stops(table: Table, state: layout.State) -> bool:
-    """Whether both actuators have been found lost, and the commands have to go."""
-    lost: bool = state.hypotheses.verdict == BOTH_LOST and table.safe_stop.duration > 0.0
-    return lost
+def stops(table: Table, state: layout.State, complete: bool) -> bool:
+    """Whether the commands have to go; ``complete``: a tick with both inputs."""
+    if state.hypotheses.verdict == BOTH_LOST and table.safe_stop.duration > 0.0:
+        return True
+    blind: bool = not complete and state.prediction.elapsed >= table.prediction.longest
+    if not blind:
+        state.safe_stop.elapsed = 0.0
+    return blind
 
 
 @firmware
 def take_commands_back(table: Table, state: layout.State) -> None:
     """A tick nearer to zero."""
     own, one = state.safe_stop, real(1.0, state.command_1)
-    left = table.safe_stop.duration - own.elapsed
+    left = table.prediction.longest - own.elapsed
+    if state.hypotheses.verdict == BOTH_LOST:
+        left = table.safe_stop.duration - own.elapsed
     share = real(0.0, one)
     if left > one:
         share = (left - one) / left

@@ -46,7 +46,7 @@ class State(Struct):
     channel_2: Annotated[biquad.State, "y", "state of G2"]
     one_plus_q: Annotated[biquad.State, "y", "state of 1 + Q"]
     measurement: Annotated[biquad.State, "y", "state of M"]
-    measured: Annotated[float, "y", "y of this tick, or the expected y without a measurement"]
+    measured: Annotated[float, "y", "y of this tick, or what stands in for y"]
     delay_1: Annotated[FloatArray, "u1", "ring of commands on their way to the plant", RING]
     delay_2: Annotated[FloatArray, "u2", "ring of commands on their way to the plant", RING]
     delay_index: Annotated[int, "1", "index of the next acting command in the rings"]
@@ -119,17 +119,6 @@ def take_measurement(constants: Constants, state: State, measurement: float) -> 
     state.measured = measurement
     shown: float = advance(constants.measurement, state.measurement, measurement)
     return shown
-
-
-@firmware
-def expect_measurement(constants: Constants, state: State, shown: float) -> None:
-    """Pass a tick without a measurement: M gets a y with M y = ``shown``."""
-    cascade, own = constants.measurement, state.measurement
-    if cascade.n > 0:
-        rest = output(cascade, own, real(0.0, shown))
-        for_one = output(cascade, own, real(1.0, shown)) - rest
-        state.measured = (shown - rest) / for_one
-        advance(cascade, own, state.measured)
 
 
 @firmware

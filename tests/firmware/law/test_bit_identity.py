@@ -38,7 +38,7 @@ TARGETS: dict[str, dict[str, Any]] = {
 
 
 def records(name: str, precision: Any) -> list[bytes]:
-    """The whole state after every tick: through a loss, a recovery, missing inputs, a reset."""
+    """The whole state after every tick: through a loss, a return, missing inputs, a reset."""
     target = Target(TICK_S, precision=precision, **{"estimator": "zoh", **TARGETS[name]})
     table = build(DESIGN, target)
     states, rng = controller.init(table), np.random.default_rng(8)
@@ -48,14 +48,14 @@ def records(name: str, precision: Any) -> list[bytes]:
     for k in range(TICKS):
         reference = 0.25 if k < 40 else math.copysign(1.0, math.sin(0.03 * k))
         noise = NOISE_RMS * rng.standard_normal()
-        missing = k in (50, 110, 111, 112)
-        controller.step(table, state, math.nan if missing else reference, y + noise)
+        told = math.nan if k == 50 else reference
+        controller.step(table, state, told, math.nan if k in (110, 111, 112) else y + noise)
         after.append(states.tobytes())
         modes.add((int(state.mode), int(state.fault_state)))
         left = 0.0 if LOST <= k < BACK else 1.0
         u1, u2 = left * float(state.command_1), float(state.command_2)
         y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, u1, u2)
-    assert {mode for mode, _ in modes} == {Mode.RUN, Mode.HOLD}
+    assert {mode for mode, _ in modes} == {Mode.RUN, Mode.BLIND}
     if "on_confirmation" in TARGETS[name]:
         assert FaultState.CONFIRMED in {fault for _, fault in modes}
     return after

@@ -118,6 +118,8 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation: b
         known.white[name].memory[:] = 0.0
     known.covariance.upper[:] = 0.0
     known.covariance.variances[:] = [0.0, 0.0, 0.36, 0.36, 0.36, 0.36, 0.0]
+    for name in ("difference", "fading", "elapsed"):
+        expected.prediction[name] = 0.0
     start_candidate(table, expected)
     clear_hypotheses(expected)
     asked = {"estimator.showing_1", "estimator.showing_2", "other_cars.command_1",

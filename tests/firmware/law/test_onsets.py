@@ -14,7 +14,7 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.fault_decision.hypotheses.candidate import has_failed, start, take_in
-from firmware_model.law.fault_decision.hypotheses.frozen import note_commands, weigh_frozen
+from firmware_model.law.fault_decision.hypotheses.frozen import weigh_frozen
 from firmware_model.law.fault_decision.hypotheses.signatures import (
     advance_signatures,
     answers_no_more,
@@ -229,17 +229,3 @@ def test_of_a_plant_that_is_not_stable_no_motion_is_missing() -> None:
         weigh_frozen(table, state, 0.5, expected)
     own = state.hypotheses.frozen
     assert (own.candidate.information, own.candidate.evidence, own.evidence) == (0.0, 0.0, 6.0)
-
-
-def test_the_commands_to_go_back_to_are_those_before_the_number_came() -> None:
-    _, state = begun()
-    own = state.hypotheses.frozen
-    for measurement, commands, kept in (
-        (0.3, (3.0, 4.0), (3.0, 4.0)),
-        (0.3, (5.0, 6.0), (3.0, 4.0)),
-        (0.4, (7.0, 8.0), (7.0, 8.0)),
-    ):
-        state.command_1, state.command_2 = commands
-        note_commands(state, measurement)
-        assert (own.command_1, own.command_2) == kept
-        own.measurement = measurement

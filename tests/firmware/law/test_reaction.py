@@ -13,7 +13,7 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.fault_decision.decision import acquit, begin_suspicion
-from firmware_model.law.status import FaultState, Mode, Verdict
+from firmware_model.law.status import FaultState, Verdict
 from tests.firmware.law.cases import CAR, TICK_S, changed
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
@@ -24,29 +24,6 @@ def started(on_confirmation: bool = True, **changes: float) -> tuple[Any, Any]:
     target = Target(TICK_S, 1, "zoh", on_confirmation=on_confirmation, noise_rms=0.01, **changes)  # type: ignore[arg-type]
     table = changed(build(DESIGN, target), decision=NEVER)[0]
     return table, controller.init(table)[0]
-
-
-@pytest.mark.parametrize(("rate", "ticks"), [(math.inf, 1), (1000.0, 8)])
-def test_a_frozen_sensor_takes_the_commands_back_to_those_of_before(
-    rate: float, ticks: int
-) -> None:
-    """As fast as the rate allows, and holds them there until the sensor says another number."""
-    table, state = started(rate_1=rate, lsb_1=0.01)
-    controller.step(table, state, 0.0, 0.4)
-    before = float(state.command_1), float(state.command_2)
-    for measurement in (0.5, 0.5):  # the first of these may be frozen
-        controller.step(table, state, 1.0, measurement)
-    state.command_1 = before[0] + 7.5
-    state.hypotheses.verdict = Verdict.SENSOR_FROZEN
-    torques = []
-    for _ in range(10):
-        controller.step(table, state, 1.0, 0.5)
-        torques.append(float(state.command_1))
-        assert (state.mode, float(state.command_2)) == (Mode.HOLD, before[1])
-    assert torques[ticks - 1 :] == pytest.approx([before[0]] * (11 - ticks), abs=0.006)
-    assert np.abs(np.diff([before[0] + 7.5, *torques])).max() <= rate * TICK_S + 0.011
-    controller.step(table, state, 1.0, 0.51)
-    assert (state.mode, state.hypotheses.verdict) == (Mode.RUN, Verdict.NOTHING)
 
 
 def test_without_noise_a_number_that_is_repeated_tells_nothing() -> None:

@@ -111,6 +111,6 @@ def test_a_clearing_leaves_nothing_of_any_number() -> None:
     fresh = states[0].hypotheses.tobytes()
     states["hypotheses"] = 3  # every number there is
     own = states[0].hypotheses
-    assert own.frozen.command_2 == own.signatures.force_lost.answer.accumulators[7, 1] == 3.0
+    assert own.frozen.expected == own.signatures.force_lost.answer.accumulators[7, 1] == 3.0
     clear_hypotheses(states[0])
     assert own.tobytes() == fresh

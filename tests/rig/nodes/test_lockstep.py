@@ -109,7 +109,7 @@ def test_a_missed_tick_is_held_and_answered() -> None:
     ends.controller.miss()
     assert ends.controller.expected == 2
     assert order(ends.sent_by_controller) == [(i, tick) for tick in range(2) for i in ANSWER]
-    assert modes(ends) == ["RUN", "HOLD"]
+    assert modes(ends) == ["RUN", "BLIND"]
 
 
 def test_a_reference_of_another_tick_is_not_used() -> None:
@@ -122,7 +122,7 @@ def test_a_reference_of_another_tick_is_not_used() -> None:
     ends.offers.clear()
     ends.plant.offer(1)
     assert ends.controller.take(ends.offers[-1])  # without its reference
-    assert modes(ends) == ["RUN", "HOLD"]
+    assert modes(ends) == ["RUN", "BLIND"]
     ends.plant.offer(2)
     damaged, feedback = list(ends.offers)[-2:]
     damaged.data[5] ^= 1
@@ -130,7 +130,7 @@ def test_a_reference_of_another_tick_is_not_used() -> None:
     assert ends.controller.take(feedback)
     ends.plant.offer(3)
     assert [ends.controller.take(message) for message in list(ends.offers)[-2:]] == [False, True]
-    assert modes(ends) == ["RUN", "HOLD", "HOLD", "RUN"]
+    assert modes(ends) == ["RUN", "BLIND", "BLIND", "RUN"]
     rejected = {"DSTAR_REFERENCE": {"no_new_data": 1, "wrong_crc": 1}, "DSTAR_FEEDBACK": {}}
     assert ends.controller.rejected() == rejected
 
@@ -206,7 +206,7 @@ def test_a_replay_holds_where_the_recorded_controller_did_not_answer() -> None:
     ends.silent_from = 6
     assert ends.run_controller() == 6
     assert actuation.begun == [0, 1, 2, 3, 4, 5]
-    assert modes(ends) == ["RUN", "RUN", "RUN", "HOLD", "RUN", "RUN"]
+    assert modes(ends) == ["RUN", "RUN", "RUN", "BLIND", "RUN", "RUN"]
     assert [tick for tick, _ in actuation.sent] == [0, 1, 2, 3, 4, 5]
     for at, codec in enumerate((NETWORK.command_1, NETWORK.command_2)):
         commands = [codec.quantise(pair[at]) for _, pair in actuation.sent]

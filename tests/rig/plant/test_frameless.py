@@ -169,5 +169,5 @@ def test_a_plant_that_has_failed_says_nothing_any_more_and_the_controller_holds(
     trace = frameless(scenario, network_of(scenario))
     # One of the twenty calls is made before the run, and taken back by the reset.
     assert np.isfinite(trace.measured).tolist() == [True] * 19 + [False] * 21
-    assert (trace.mode[19:] == Mode.HOLD).all()
+    assert (trace.mode[19:] == Mode.BLIND).all()
     assert (trace.command_1[19:] == trace.command_1[18]).all()

@@ -58,7 +58,7 @@ def test_a_tick_without_feedback_is_held_and_the_next_goes_on(frames: list[Messa
     loop, gaps = replay(log)
     assert listed(gaps) == Counter({(tick, NAMES[1], "missing"): 1 for tick in deaf})
     expected, theirs = answers(frames, SCENARIO, deaf), logged(frames)
-    assert all(expected[tick][3] == Mode.HOLD for tick in deaf)
+    assert all(expected[tick][3] == Mode.BLIND for tick in deaf)
     for at, signal in enumerate(loop.comparison.signals):
         apart = [
             tick

@@ -44,7 +44,7 @@ def test_a_gap_is_hold_from_five_periods_on(measured: can_rig.ReplayedDrive) -> 
     hold = measured.signals.index[measured.signals["mode"] == 2]
     assert hold[0] == pytest.approx(GAP_S[0] - 0.01 + 0.05, abs=0.011)
     assert hold[-1] == pytest.approx(GAP_S[1] - 0.01, abs=0.011)
-    assert len(hold) == measured.summary["ticks_hold"] == round((hold[-1] - hold[0]) / 0.01) + 1
+    assert len(hold) == measured.summary["ticks_blind"] == round((hold[-1] - hold[0]) / 0.01) + 1
 
 
 def test_a_tick_takes_the_last_sample_and_none_of_the_future(

@@ -82,7 +82,7 @@ def test_the_page_says_what_happened_and_what_was_run(ran: tuple[Scenario, Signa
     said = [(round(e.time_s, 6), e.text) for e in events(scenario, network_of(scenario), signals)]
     assert (0.2, "fault begins: D* lost") in said
     assert (0.25, "fault ends: D* lost") in said
-    assert (0.2, "mode: HOLD") in said
+    assert (0.2, "mode: BLIND") in said
     assert (0.3, "disturbance begins: gust of 50 N") in said
     assert (0.5, "disturbance ends: gust of 50 N") in said
     assert (0.8, "fault begins: steering torque lost") in said

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.actuator import command_possible
 from firmware_model.law.fault_decision.hypotheses import candidate
 from firmware_model.law.fault_decision.hypotheses.candidate import State as CandidateState
 from firmware_model.law.fault_decision.hypotheses.candidate import start, take_in
@@ -38,8 +37,6 @@ class State(Struct):
     measurement: Annotated[float, "y", "the repeated number"]
     expected: Annotated[float, "y", "modelled y at the first occurrence"]
     repetitions: Annotated[float, "1", "repetitions since"]
-    command_1: Annotated[float, "u1", "command 1 of the tick before the number"]
-    command_2: Annotated[float, "u2", "command 2 of the tick before the number"]
     evidence: Annotated[float, "1", "log-likelihood ratio"]
 
 
@@ -60,22 +57,6 @@ def weigh_frozen(table: Table, state: layout.State, innovation: float, expected:
     own.evidence = real(0.0, expected)
     if abs(moved) > constants.least_motion:
         own.evidence = own.candidate.evidence + own.repetitions * constants.repetition
-
-
-@firmware
-def note_commands(state: layout.State, measurement: float) -> None:
-    """Prepare the tick of a ``measurement``: the number may be the first frozen one."""
-    own = state.hypotheses.frozen
-    if measurement != own.measurement:
-        own.command_1 = state.command_1
-        own.command_2 = state.command_2
-
-
-@firmware
-def go_back(table: Table, state: layout.State) -> None:
-    """Restore the last commands computed without a frozen number."""
-    own = state.hypotheses.frozen
-    command_possible(table, state, own.command_1, own.command_2)
 
 
 @firmware

@@ -286,7 +286,6 @@ def clear_hypotheses(state: layout.State) -> None:
     begin_all(own.signatures)
     thaw(own.frozen)
     own.frozen.measurement = own.frozen.expected = own.found_size = 0.0
-    own.frozen.command_1 = own.frozen.command_2 = 0.0
     own.evidence[:] = 0.0
     clear_sensor_error(own.sensor_error)
     own.verdict = own.found = NOTHING
