@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.requirements import Requirement, margin
-from can_rig.campaigns.settings import Scalar
+from can_rig.campaigns.settings import SCENARIO, Scalar
 from can_rig.errors import RigError, ScenarioError, one_line
 from can_rig.files import atomic
 from can_rig.results.metrics import metrics_of
@@ -82,7 +82,7 @@ def schema(plan: Plan) -> pa.Schema:
     import pyarrow as pa  # noqa: PLC0415 (slow to import)
 
     kinds = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
-    columns: dict[str, pa.DataType] = {"run": pa.int64(), "seed": pa.int64()}
+    columns: dict[str, pa.DataType] = {"run": pa.int64(), SCENARIO: pa.string(), "seed": pa.int64()}
     for name in plan.settings.names:
         if name not in plan.settings.axes:
             columns[name] = pa.string()
@@ -226,7 +226,7 @@ def require_tables(plan: Plan) -> None:
         ScenarioError: names the table's key.
     """
     settings = plan.settings
-    known = {*settings.names, *settings.keys, *METRICS}
+    known = {SCENARIO, *settings.names, *settings.keys, *METRICS}
     for name, table in settings.tables.items():
         for key, given in (("rows", table.rows), ("columns", table.columns)):
             if given is not None and given not in known:
@@ -245,7 +245,12 @@ def require_tables(plan: Plan) -> None:
 def run_row(plan: Plan, required: list[Requirement], run: int, values: dict[str, Scalar]) -> Row:
     """The row of one run; after a failure, the reason in ``failure`` and no metrics."""
     changes, base = plan.changes_of(run, values), plan.base_of(values)
-    row: Row = {"run": run, **values, "command": base.command_with(changes)}
+    row: Row = {
+        "run": run,
+        SCENARIO: base.scenario.name,
+        **values,
+        "command": base.command_with(changes),
+    }
     row["method"] = SEARCH if run < plan.searched else RANDOM
     try:
         scenario = base.scenario_with(changes)

@@ -91,7 +91,7 @@ class FaultSettings:
     """
 
     kind: FaultKind = "none"
-    channel: Channel | Literal["sensor"] | Measured = "torque"
+    channel: Literal[Channel, "sensor", Measured] = "torque"
     at_s: Moment = 10.0
     for_s: Annotated[float, Field(gt=0.0, le=MAX_DURATION_S)] | None = None
     every: Annotated[int, Field(ge=1, le=1_000_000)] = 1

@@ -77,18 +77,22 @@ def test_what_an_unstable_plants_sensor_adds_goes_on_through_m() -> None:
     np.testing.assert_allclose(answer.accumulators, expected.accumulators)
 
 
+@pytest.mark.parametrize("reference", [1.0, math.nan])
 @pytest.mark.parametrize("share", [0.0, 1.0])
-def test_an_unstable_plant_is_expected_where_what_is_not_lost_takes_it(share: float) -> None:
+def test_an_unstable_plant_is_expected_where_what_is_not_lost_takes_it(
+    share: float, reference: float
+) -> None:
     """M y = N1 u1 + N2 u2 - s w, at which d̂ is the known loss."""
     table = table_of(0, of=UNSTABLE)
     state = controller.init(table)[0]
+    state.command_1, state.command_2 = 5.0, 300.0
     state.fault_state = FaultState.CONFIRMED if share else FaultState.CLEAR
     state.loss_model.share = share
     before = at_rest()
     for _ in range(3):
         model_1, model_2 = model_output(table.estimator, state.estimator, 0.0, 0.0)
         before.accumulators[:] = state.estimator.measurement.accumulators
-        controller.step(table, state, 1.0, math.nan)
+        controller.step(table, state, reference, math.nan)
         shown = advance(table.estimator.measurement, before, state.estimator.measured)
         # all of channel 1 has been lost from the start, so w is N1 u1
         assert shown == pytest.approx(model_1 + model_2 - share * model_1, rel=1e-9)

@@ -14,7 +14,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.requirements import Requirement
-from can_rig.campaigns.rows import require_tables
+from can_rig.campaigns.rows import require_tables, requirements_of, run_row, schema
 from can_rig.campaigns.settings import campaign_of, read_campaign, shipped
 from can_rig.campaigns.statistics import cross, parts_by_name
 from can_rig.errors import ScenarioError
@@ -59,6 +59,15 @@ def test_the_command_of_a_run_is_its_scenario(name: str) -> None:
         words = shlex.split(made.base_of(values).command_with(made.changes_of(run, values)))
         again = load(words[2], [word for word in words if "=" in word])
         assert made.scenario_of(run) == again
+
+
+def test_a_table_over_scenarios_serves_one_scenario_too() -> None:
+    made = plan(read_campaign("faults", scenario=["no-compensation"], runs=1))
+    assert made.settings.tables["scenarios"].rows == "scenario"
+    require_tables(made)
+    row = run_row(made, requirements_of(made), 0, made.values_of(0))
+    assert row["scenario"] == "no-compensation"
+    assert "scenario" in schema(made).names
 
 
 @pytest.mark.parametrize("name", ["faults", "double-faults", "restarts", "weather"])

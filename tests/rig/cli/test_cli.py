@@ -45,7 +45,7 @@ WRONG = {
     "bus without a value": (["--bus", "local:x?fd"], "key=value"),
     "no such interface": (["--bus", "socketcan:nosuch0"], "nosuch0|no CAN support"),
     "a bus nowhere": (["--bus", "local:/no/such/folder"], "local"),
-    "out below a file": (["--out", "file/run"], "cannot be made"),
+    "out below a file": (["--out", "file/run"], "file: is a file; must be a folder"),
     "out is a file": (["--out", "file"], "is a file; must be a folder"),
     "a forced file": (["--out", "file", "--force"], "is a file; must be a folder"),
     "out in /proc": (["--out", "/proc/run"], "cannot be made"),

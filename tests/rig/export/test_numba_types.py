@@ -29,7 +29,7 @@ def as_numba(kind: Type, precision: Precision) -> Any:
         case Array():
             return nb.Array(real, len(kind.shape), "C")
         case Scalar():
-            return real if kind is REAL else nb.int64
+            return {REAL: real, BOOL: nb.boolean}.get(kind, nb.int64)
     raise NotImplementedError(kind)
 
 

@@ -80,6 +80,8 @@ DEFAULT = {
     ("fault=3",): "fault = 3: must be a table, or several",
     ("fault.kind=actuator-stuck", "fault.channel=sensor"):
         "fault.channel = 'sensor': must be torque or force-difference for 'actuator-stuck'",
+    ("fault.channel=dstar",): "must be 'torque', 'force-difference', 'sensor', 'yaw-rate', ",
+    ("limits.blind_s=-1",): "limits.blind_s = -1: must be at least 0",
     ("fault.kind=frames-forged",): "fault.value: must be set for 'frames-forged'",
     ("fault.late_ticks=0",): "fault.late_ticks = 0: must be at least 1",
     ("plant.torque_actuator.lag_s=-0.01",):
