@@ -40,25 +40,28 @@ class State(Struct):
 
 
 @firmware
+def both_lost(table: Table, state: layout.State) -> bool:
+    """Whether both actuators have been found lost, and the table asks for a stop."""
+    lost: bool = state.hypotheses.verdict == BOTH_LOST and table.safe_stop.duration > 0.0
+    return lost
+
+
+@firmware
 def stops(table: Table, state: layout.State, complete: bool) -> bool:
     """Whether the commands have to go; ``complete``: a tick with both inputs."""
-    if state.hypotheses.verdict == BOTH_LOST and table.safe_stop.duration > 0.0:
-        return True
     blind: bool = not complete and state.prediction.elapsed >= table.prediction.longest
-    if not blind:
-        state.safe_stop.elapsed = 0.0
-    return blind
+    return blind or both_lost(table, state)
 
 
 @firmware
 def take_commands_back(table: Table, state: layout.State) -> None:
     """A tick nearer to zero."""
-    own, one = state.safe_stop, real(1.0, state.command_1)
-    left = table.prediction.longest - own.elapsed
-    if state.hypotheses.verdict == BOTH_LOST:
+    own, one, longest = state.safe_stop, real(1.0, state.command_1), table.prediction.longest
+    left = longest - (state.prediction.elapsed - longest)
+    if both_lost(table, state):
         left = table.safe_stop.duration - own.elapsed
+        own.elapsed += one
     share = real(0.0, one)
     if left > one:
         share = (left - one) / left
-        own.elapsed += one
     command_possible(table, state, share * state.command_1, share * state.command_2)

@@ -11,14 +11,14 @@ from can_rig.scenario.settings import Scenario
 
 Run = Callable[..., tuple[Scenario, Signals]]
 
+COLUMNS = [
+    name for name in Signals.__dataclass_fields__ if name not in ("plant", "sensors", "whose_fault")
+]
+"""The fields with a number for each tick."""
+
 
 def quiet(scenario: Scenario, **changed: np.ndarray) -> Signals:
     """A run in which nothing moves, but for the columns given."""
     zero = np.zeros(scenario.ticks)
-    names = [
-        name
-        for name in Signals.__dataclass_fields__
-        if name not in ("time_s", "plant", "sensors", "whose_fault")
-    ]
-    columns = {name: zero.copy() for name in names} | changed
+    columns = {name: zero.copy() for name in COLUMNS if name != "time_s"} | changed
     return Signals(np.arange(scenario.ticks) * scenario.tick_s, **columns)

@@ -14,6 +14,7 @@ from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import continuous_plant, network_of
 from can_rig.scenario.settings import Scenario
 from tests.helpers import record
+from tests.rig.results.quiet import COLUMNS
 
 LATENCY = ("latency_ticks=2", "design.tau_s=0.005", "design.tau_q_s=0.01")
 FAULT = ("duration_s=0.3", "fault.at_s=0.1", "fault.for_s=0.1", "actuator.hold_s=0.01")
@@ -57,12 +58,7 @@ def test_a_command_that_is_not_on_record_is_held_and_then_zero(tmp_path: Path) -
 
 def test_what_acts_at_the_start_of_a_log_that_starts_late_is_not_known(tmp_path: Path) -> None:
     scenario, signals = recorded(tmp_path, *LATENCY, *FAULT, "fault.kind=actuator-dead")
-    names = [
-        field.name
-        for field in dataclasses.fields(signals)
-        if field.name not in ("plant", "sensors", "whose_fault")
-    ]
-    values = {name: getattr(signals, name)[50:] for name in names}
+    values = {name: getattr(signals, name)[50:] for name in COLUMNS}
     whole, late = applied_commands(scenario, signals), applied_commands(scenario, Signals(**values))
     for full, part in zip(whole, late, strict=True):
         assert np.flatnonzero(np.isnan(part)).tolist() == [0, 1]

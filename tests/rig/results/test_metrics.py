@@ -14,11 +14,7 @@ from can_rig.results.metrics import Metrics, metrics, rows
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import solve
-from tests.rig.results.quiet import Run, quiet
-
-COLUMNS = [
-    name for name in Signals.__dataclass_fields__ if name not in ("plant", "sensors", "whose_fault")
-]
+from tests.rig.results.quiet import COLUMNS, Run, quiet
 
 LSB_MPS2 = 1e-8
 
