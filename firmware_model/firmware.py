@@ -11,7 +11,6 @@ import numpy as np
 from firmware_model.law import controller, schedule
 from firmware_model.law.fault_decision.hypotheses import verdict
 from firmware_model.law.fault_decision.lost_commands import act_first
-from firmware_model.law.fault_decision.mismatch import doubt_motion
 from firmware_model.law.filters import biquad
 from firmware_model.law.layout import State, Table, precision_of
 from firmware_model.law.structs import FloatArray, RecordArray, record_type
@@ -110,6 +109,10 @@ class Firmware:
             float(command_1), float(command_2), float(estimate), mode, fault_state, verdict
         )
 
+    def begin(self) -> None:
+        """Start as after power-up: a plant that moves is taken over; see ``law.takeover``."""
+        self._states.view(np.uint8)[...] = self._law.init(self._tables[0]).view(np.uint8)
+
     def reset(self, reference: float) -> None:
         """Start from the settled healthy loop at ``reference``; see ``controller.reset``."""
         self._law.reset(self._tables[0], self._states[0], reference)
@@ -118,18 +121,6 @@ class Firmware:
         """Before the ``step`` of a tick: the speed of the car, m/s; not a number: as it was."""
         if self._change_speed is not None:
             self._change_speed(speed)
-
-    def move(self, sections: FloatArray, doubt: float) -> None:
-        """Add a motion of the plant to F1, caused by another source than this controller.
-
-        Args:
-            sections: shape (MAX_SECTIONS, 2), the change of the state of F1's first model.
-            doubt: variance of y due to the motion; the decision takes no fault from the motion.
-        """
-        state = self._states[0]
-        accumulators = state.estimator.channel_1.accumulators
-        accumulators += sections.astype(accumulators.dtype)
-        doubt_motion(self._tables[0].mismatch, state.mismatch, doubt)
 
     def act(self, command_1: float, command_2: float) -> None:
         """Set the commands that act from the next ``step`` on, after a loss of the sent commands.

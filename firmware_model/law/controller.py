@@ -57,7 +57,11 @@ from firmware_model.law.fault_decision.loss_model import (
     known_share,
     loss_shown,
 )
-from firmware_model.law.fault_decision.mismatch import clear_mismatch, settle_mismatch
+from firmware_model.law.fault_decision.mismatch import (
+    clear_mismatch,
+    doubt_motion,
+    settle_mismatch,
+)
 from firmware_model.law.fault_decision.other_cars import (
     advance_other_cars,
     settle_other_cars,
@@ -92,6 +96,16 @@ from firmware_model.law.precision import real
 from firmware_model.law.reference_shaper import start, tracked_reference
 from firmware_model.law.status import Mode
 from firmware_model.law.structs import RecordArray
+from firmware_model.law.takeover import (
+    advance_motion,
+    begin_takeover,
+    doubt,
+    end_takeover,
+    led_reference,
+    listens,
+    show_motion,
+    wanted_level,
+)
 
 if TYPE_CHECKING:
     from firmware_model.law.layout import State, Table
@@ -137,6 +151,8 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         go_on(table, state)
         state.mode = MODE_SAFE_STOP
     elif told and (measured or table.prediction.enabled):
+        if measured and state.takeover.begun == 0:
+            take_over(table, state, r, y)
         compute(table, state, r, y, measured)
     else:
         go_on(table, state)
@@ -144,17 +160,36 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
 
 
 @firmware
+def take_over(table: Table, state: State, r: float, y: float) -> None:
+    """The first tick with both inputs: a takeover, if the plant moves."""
+    model_1, model_2 = model_output(
+        table.estimator, state.estimator, state.command_1, state.command_2
+    )
+    difference = y - predicted(table, state, model_1 + model_2)
+    if table.takeover.enabled and abs(difference) > table.takeover.least:
+        level = wanted_level(r, y)
+        reset(table, state, level)
+        begin_takeover(state.takeover, level)
+    state.takeover.begun = 1
+
+
+@firmware
 def compute(table: Table, state: State, r: float, y: float, measured: bool) -> None:
     """A tick with a reference ``r``, and a measurement ``y`` to be used where ``measured``."""
     state.reference = r
+    show_motion(table.estimator.channel_1, state.takeover)
+    r = led_reference(table.takeover, state.takeover, r)
+    listening = measured and listens(table.takeover, state.takeover)
     held_1, held_2 = state.command_1, state.command_2
     estimator, compensator = table.estimator, table.compensator
 
     # Every filter's answer to zero input: the output before this tick's commands.
     zero = real(0.0, held_1)
     rest_1, before_2 = model_output(estimator, state.estimator, zero, held_2)
+    if measured:
+        state.measurement = y
     y = measurement_or_prediction(table, state, y, measured, rest_1 + before_2)
-    tracked = tracked_reference(table, state)
+    tracked = tracked_reference(table, state, r)
     seen = y + state.prediction.fading + missing_output(table, state)
     wanted = tracked - table.tracking.feedback * seen
     torque = asked_torque(table.tracking, state.tracking, wanted + table.tracking.feedback * rest_1)
@@ -167,6 +202,9 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     error = wanted + table.tracking.feedback * model_1
     track(table.tracking, state.tracking, error, state.command_1)
     known = model_1 + model_2 - take_measurement(estimator, state.estimator, y)
+    if listening:  # the difference is the plant's motion
+        state.takeover.error = -known
+        known = zero
     q_rest = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
     rest_2 = output(compensator.filter, state.compensator.filter, zero)
     from_reference = compensator.reference_share * r
@@ -174,7 +212,7 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
 
     # Without feedthrough of u2 the sum is the residual; with feedthrough u2 of this tick is
     # missing.
-    if measured:
+    if measured and not listening:
         decide(table, state, known + estimator.feedthrough_2 * held_2, model_1, model_2)
     else:
         show_acting_commands(table, state)
@@ -222,8 +260,9 @@ def measurement_or_prediction(
     own, constants = state.prediction, table.prediction
     lost = known_share(state) * loss_shown(table, state)
     expected = predicted(table, state, model_output - lost)
+    if math.isfinite(y):
+        y = y - state.takeover.shown
     if measured:
-        state.measurement = y
         note_measurement(constants, own, y, expected)
         return y
     if math.isfinite(y):
@@ -266,6 +305,10 @@ def advance_models(table: Table, state: State, short_1: float, short_2: float) -
     advance_signatures(table, state)
     advance_sensor_error(table, state)
     advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
+    advance_motion(table.takeover, table.estimator.channel_1, state.takeover)
+    if state.takeover.active and state.takeover.elapsed == table.takeover.listening:
+        doubt_motion(table.mismatch, state.mismatch, doubt(table.takeover, state.takeover))
+        start_candidate(table, state)
 
 
 @firmware
@@ -300,6 +343,8 @@ def reset(table: Table, state: State, reference: float) -> None:
     state.shortfall_2.accumulators[:] = 0.0
     release(state.bumpless_transfer)
     clear_prediction(state.prediction)
+    end_takeover(state.takeover)
+    state.takeover.begun = 1
     state.mode = MODE_INIT
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from firmware_model.law import actuator, status
+from firmware_model.law import actuator, status, takeover
 from firmware_model.law.fault_decision import (
     likelihood_ratio,
 )
@@ -105,6 +105,7 @@ class Table(Struct):
     hypotheses: Annotated[verdict.Constants, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopConstants, "1", "where both actuators are lost"]
     prediction: Annotated[PredictionConstants, "1", "in place of a missing measurement"]
+    takeover: Annotated[takeover.Constants, "1", "of a moving plant"]
 
 
 class State(status.State):
@@ -127,6 +128,7 @@ class State(status.State):
     hypotheses: Annotated[verdict.State, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopState, "1", "where the commands have to go"]
     prediction: Annotated[PredictionState, "1", "in place of a missing measurement"]
+    takeover: Annotated[takeover.State, "1", "of a moving plant"]
 
 
 def table_type(precision: Precision = "float64") -> np.dtype[np.void]:

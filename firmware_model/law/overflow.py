@@ -20,6 +20,7 @@ from firmware_model.law.filters.shortfall import make_up
 from firmware_model.law.filters.tracking import missing_output
 from firmware_model.law.precision import real
 from firmware_model.law.reference_shaper import start
+from firmware_model.law.takeover import end_takeover
 
 if TYPE_CHECKING:
     from firmware_model.law.layout import State, Table
@@ -44,6 +45,7 @@ def clear_memories(table: Table, state: State) -> None:
     start_candidate(table, state)
     clear_hypotheses(state)
     clear_prediction(state.prediction)
+    end_takeover(state.takeover)
 
 
 @firmware
