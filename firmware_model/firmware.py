@@ -13,7 +13,7 @@ from firmware_model.law.fault_decision.hypotheses import verdict
 from firmware_model.law.fault_decision.lost_commands import act_first
 from firmware_model.law.filters import biquad
 from firmware_model.law.layout import State, Table, precision_of
-from firmware_model.law.structs import FloatArray, RecordArray, record_type
+from firmware_model.law.structs import RecordArray, record_type
 
 
 class Answer(NamedTuple):
@@ -112,6 +112,7 @@ class Firmware:
     def begin(self) -> None:
         """Start as after power-up: a plant that moves is taken over; see ``law.takeover``."""
         self._states.view(np.uint8)[...] = self._law.init(self._tables[0]).view(np.uint8)
+        self._states[0].takeover.pending = True
 
     def reset(self, reference: float) -> None:
         """Start from the settled healthy loop at ``reference``; see ``controller.reset``."""

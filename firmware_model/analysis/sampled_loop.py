@@ -205,7 +205,6 @@ def linear_controller(table: Table, confirmed: float = 0.0) -> LinearController:
     k = len(memories)
     tables = without_limits(table, k + 2)
     states = controller.init(tables[0], k + 2)
-    states["takeover"]["begun"] = 1  # an impulse is no motion from before the begin
     if confirmed > 0.0:
         states["fault_state"] = FaultState.CONFIRMED
         for name in ("share", "between", "followed"):

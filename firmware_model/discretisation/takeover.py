@@ -21,7 +21,7 @@ LEAST_MEMORY: Final = 3.0
 """Ticks, however long a tick is."""
 LISTENING: Final = 2.5
 """Listening over memory."""
-RETURN_S: Final = 0.4
+RETURN_S: Final = 0.2
 """X_diff then keeps below 4000 N for 1 m/s², should the motor be dead."""
 FADED: Final = 1e-4
 """Part of the motion that may be dropped."""
@@ -60,12 +60,13 @@ def observer(phi: np.ndarray, c: np.ndarray, memory: float) -> tuple[np.ndarray,
         memory: time constant of the fading memory, in ticks.
     """
     row = c[None, :]
-    scale = np.diag(LITTLE / np.maximum(np.diag(energy_of(phi, c)), 1e-300))
+    energies = np.diag(energy_of(phi, c))
+    scale = np.diag(LITTLE / np.maximum(energies, LITTLE * energies.max()))
     faster = phi * math.exp(1.0 / memory)
     covariance = linalg.solve_discrete_are(faster.T, row.T, scale, np.eye(1))
     gain = (phi @ covariance @ row.T / (row @ covariance @ row.T + 1.0))[:, 0]
     corrected = phi - np.outer(gain, c)
-    return gain, linalg.solve_discrete_lyapunov(corrected, np.outer(gain, gain))
+    return gain, energy_of(corrected.T, gain)
 
 
 def largest_variance(phi: np.ndarray, c: np.ndarray, covariance: np.ndarray) -> float:

@@ -104,6 +104,7 @@ from firmware_model.law.takeover import (
     led_reference,
     listens,
     show_motion,
+    take_for_motion,
     wanted_level,
 )
 
@@ -146,12 +147,13 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
     told = math.isfinite(r)
     frozen = state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement
     measured = math.isfinite(y) and not frozen
+    predicts = table.prediction.enabled and not state.takeover.pending
     if stops(table, state, told and measured):
         take_commands_back(table, state)
         go_on(table, state)
         state.mode = MODE_SAFE_STOP
-    elif told and (measured or table.prediction.enabled):
-        if measured and state.takeover.begun == 0:
+    elif told and (measured or predicts):
+        if state.takeover.pending:
             take_over(table, state, r, y)
         compute(table, state, r, y, measured)
     else:
@@ -170,7 +172,7 @@ def take_over(table: Table, state: State, r: float, y: float) -> None:
         level = wanted_level(r, y)
         reset(table, state, level)
         begin_takeover(state.takeover, level)
-    state.takeover.begun = 1
+    state.takeover.pending = 0
 
 
 @firmware
@@ -186,8 +188,6 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     # Every filter's answer to zero input: the output before this tick's commands.
     zero = real(0.0, held_1)
     rest_1, before_2 = model_output(estimator, state.estimator, zero, held_2)
-    if measured:
-        state.measurement = y
     y = measurement_or_prediction(table, state, y, measured, rest_1 + before_2)
     tracked = tracked_reference(table, state, r)
     seen = y + state.prediction.fading + missing_output(table, state)
@@ -202,13 +202,8 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     error = wanted + table.tracking.feedback * model_1
     track(table.tracking, state.tracking, error, state.command_1)
     known = model_1 + model_2 - take_measurement(estimator, state.estimator, y)
-    if listening:  # the difference is the plant's motion
-        state.takeover.error = -known
-        known = zero
-    q_rest = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
-    rest_2 = output(compensator.filter, state.compensator.filter, zero)
-    from_reference = compensator.reference_share * r
-    made_up = make_up(table.shortfall_2, estimator.channel_2, table.actuator_2, state.shortfall_2)
+    if listening:
+        known = take_for_motion(state.takeover, known)
 
     # Without feedthrough of u2 the sum is the residual; with feedthrough u2 of this tick is
     # missing.
@@ -217,23 +212,14 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     else:
         show_acting_commands(table, state)
 
-    known_loss = compensator.on_confirmation > 0
-    if known_loss:  # u2 = r2 + F̂ s w, with the w of this tick's command
-        drive = transfer(state.bumpless_transfer, compensated_output(table, state))
-        force = from_reference + rest_2 + compensator.feedthrough * drive
-    else:  # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
-        estimate = q_rest + estimator.one_plus_q_feedthrough * known
-        force = from_reference + rest_2 + compensator.feedthrough * estimate
-        force = force * compensator.loop_inverse
-        made_up = made_up * compensator.loop_inverse
-        drive = zero
+    force, made_up, drive = asked_force(table, state, r, known)
     wish_2 = force + made_up
     possible_2 = saturate_rate(table.actuator_2, wish_2, held_2)
     state.command_2 = quantise(table.actuator_2, state.actuator_2, possible_2)
 
     residual = known + estimator.feedthrough_2 * state.command_2
     estimate = advance(estimator.one_plus_q, state.estimator.one_plus_q, residual)
-    drive = drive if known_loss else estimate
+    drive = drive if compensator.on_confirmation > 0 else estimate
     advance(compensator.filter, state.compensator.filter, drive)
     if not (math.isfinite(wish_1) and math.isfinite(wish_2)):
         forget(table, state, held_1, held_2)
@@ -241,6 +227,26 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     state.fault_estimate = estimate
     state.mode = MODE_RUN if measured else MODE_BLIND
     advance_models(table, state, torque - possible_1, force - possible_2)
+
+
+@firmware
+def asked_force(table: Table, state: State, r: float, known: float) -> tuple[float, float, float]:
+    """Return u2 before its limits, its make-up, and the input of F̂ on a known loss.
+
+    ``known``: the residual, less the u2 of this tick.
+    """
+    estimator, compensator, zero = table.estimator, table.compensator, real(0.0, known)
+    rest = output(compensator.filter, state.compensator.filter, zero)
+    force = compensator.reference_share * r + rest
+    made_up = make_up(table.shortfall_2, estimator.channel_2, table.actuator_2, state.shortfall_2)
+    if compensator.on_confirmation > 0:  # u2 = r2 + F̂ s w, with the w of this tick's command
+        drive = transfer(state.bumpless_transfer, compensated_output(table, state))
+        return force + compensator.feedthrough * drive, made_up, drive
+    # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
+    estimate = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
+    estimate += estimator.one_plus_q_feedthrough * known
+    force = (force + compensator.feedthrough * estimate) * compensator.loop_inverse
+    return force, made_up * compensator.loop_inverse, zero
 
 
 @firmware
@@ -260,13 +266,13 @@ def measurement_or_prediction(
     own, constants = state.prediction, table.prediction
     lost = known_share(state) * loss_shown(table, state)
     expected = predicted(table, state, model_output - lost)
-    if math.isfinite(y):
-        y = y - state.takeover.shown
     if measured:
+        state.measurement = y
+        y = y - state.takeover.shown
         note_measurement(constants, own, y, expected)
         return y
     if math.isfinite(y):
-        distrust(own, y, expected)
+        distrust(own, y - state.takeover.shown, expected)
     stood_in: float = stand_in(constants, own, expected)
     return stood_in
 
@@ -344,7 +350,7 @@ def reset(table: Table, state: State, reference: float) -> None:
     release(state.bumpless_transfer)
     clear_prediction(state.prediction)
     end_takeover(state.takeover)
-    state.takeover.begun = 1
+    state.takeover.pending = 0
     state.mode = MODE_INIT
 
 

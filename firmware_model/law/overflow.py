@@ -67,7 +67,7 @@ def sum_of_models(table: Table, state: State) -> float:
 
 @firmware
 def clear_models(state: State) -> None:
-    """Forget the plant: plant at rest, no loss."""
+    """Forget the plant and the loss: the next tick with both inputs may be a takeover."""
     start(state.reference_shaper, real(0.0, state.command_1))
     state.shortfall_1.accumulators[:] = 0.0
     state.shortfall_2.accumulators[:] = 0.0
@@ -78,4 +78,5 @@ def clear_models(state: State) -> None:
     clear_loss_model(state)
     clear_other_cars(state)
     release(state.bumpless_transfer)
+    state.takeover.pending = 1
     state.fault_state = CLEAR

@@ -46,7 +46,7 @@ class State(Struct):
     """State."""
 
     motion: Annotated[biquad.State, "y", "state of G1 for m"]
-    begun: Annotated[int, "1", "1: a tick with both inputs has come"]
+    pending: Annotated[int, "1", "1: the plant may move; the first tick with both inputs shows it"]
     active: Annotated[int, "1", "1: the takeover has not ended"]
     level: Annotated[float, "y", "output of the settled state at the begin"]
     shown: Annotated[float, "y", "m of this tick"]
@@ -74,7 +74,7 @@ def begin_takeover(own: State, level: float) -> None:
 @firmware
 def show_motion(g1: biquad.Constants, own: State) -> None:
     """Compute m of this tick; zero where no takeover is going on."""
-    own.shown = own.error = 0.0
+    own.shown = 0.0
     if own.active:
         own.shown = output(g1, own.motion, real(0.0, own.level))
         own.largest = max(own.largest, abs(own.shown))
@@ -100,6 +100,13 @@ def listens(constants: Constants, own: State) -> bool:
 
 
 @firmware
+def take_for_motion(own: State, residual: float) -> float:
+    """The plant's motion explains the ``residual``, G1 u1 + G2 u2 + m - y: nothing is left."""
+    own.error = -residual
+    return real(0.0, residual)
+
+
+@firmware
 def advance_motion(constants: Constants, g1: biquad.Constants, own: State) -> None:
     """A tick on, corrected by ``own.error``; the takeover ends when m has faded."""
     if own.active == 0:
@@ -109,6 +116,7 @@ def advance_motion(constants: Constants, g1: biquad.Constants, own: State) -> No
         for i in range(g1.n):
             for j in range(2):
                 own.motion.accumulators[i, j] += constants.gain[i, j] * own.error
+    own.error = 0.0
     own.elapsed += real(1.0, own.level)
     if own.elapsed >= constants.lasting:
         end_takeover(own)
