@@ -32,7 +32,8 @@ from can_rig.logs.frames import window_of
 from can_rig.logs.reading import read_log
 from can_rig.replaying.estimator import Replayed, replay_drive, write
 from can_rig.results.source import Source, log_path
-from can_rig.scenario.loading import Changes, as_settings
+from can_rig.scenario.from_python import settings_of
+from can_rig.scenario.loading import Changes
 from can_rig.scenario.settings import Scenario
 from can_rig.views.controllers_compared import CASES, Comparison
 from can_rig.views.controllers_compared import compare as compare_controllers
@@ -70,7 +71,7 @@ def load_scenario(
     Raises:
         ScenarioError: no such scenario, an unknown key, a bad value.
     """
-    settings = as_settings({} if changes is None else changes)
+    settings = settings_of(changes)
     if not isinstance(name, str | Path | Scenario):
         raise ScenarioError(f"scenario {name!r}: must be a name, a path or a Scenario")
     if isinstance(name, Scenario):
@@ -153,7 +154,7 @@ def compare(
         if cases not in CASES:
             raise ScenarioError(f"cases = {cases!r}: must be {', '.join(CASES)}, or a mapping")
         cases = CASES[cases]
-    settings = as_settings({} if changes is None else changes)
+    settings = settings_of(changes)
     return compare_controllers(controllers, str(name), cases, settings)
 
 

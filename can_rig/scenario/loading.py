@@ -57,6 +57,10 @@ Changes = Mapping[str, Any]
 """Key → value; keys with dots, or tables within tables."""
 
 
+class Whole(dict[str, Any]):
+    """A table that replaces the whole table of its key."""
+
+
 def change(values: dict[str, Any], setting: str) -> None:
     """Apply one ``KEY=VALUE``; a value that is invalid TOML is a string, so quotes are optional."""
     key, equals, text = setting.partition("=")
@@ -120,7 +124,7 @@ def as_settings(changes: Changes) -> list[str]:
 def flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Keys with dots, also from tables within tables."""
     for key, value in changes.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and not isinstance(value, Whole):
             yield from flat(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
@@ -172,7 +176,9 @@ def require_kinds(name: str, values: Mapping[str, Any]) -> None:
             )
     reference = values.get("reference")
     if isinstance(reference, Mapping) and "kind" not in reference:
-        for key, kind in (("file", "csv"), ("lane_changes_s", "driver")):
+        for key, kind in (
+            ("file", "csv"), ("lane_changes_s", "driver"), ("samples_mps2", "samples"),
+        ):  # fmt: skip
             if reference.get(key):
                 raise ScenarioError(
                     f"scenario {name}: reference.kind: must be {kind!r} where reference.{key} is"

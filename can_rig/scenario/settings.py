@@ -225,10 +225,11 @@ class NetworkSettings:
             raise ValueError("signals: must be set beside network.tick, ticks and data_ids")
 
 
-ReferenceKind = Literal["step", "sine", "lane-change", "driver", "csv"]
+ReferenceKind = Literal["step", "sine", "lane-change", "driver", "csv", "samples"]
 
 MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
 MAX_REFERENCE_MPS2 = 1e6  # far beyond any frame, and with a finite square
+Reference = Annotated[float, Field(ge=-MAX_REFERENCE_MPS2, le=MAX_REFERENCE_MPS2)]
 
 Order = Annotated[int, Field(ge=1, le=8)]
 """Of a low-pass filter."""
@@ -275,14 +276,16 @@ class BudgetSettings:
 class ReferenceSettings:
     """The reference of D*; ``reference`` has the shapes.
 
-    ``csv`` has two columns: time in s, reference in m/s². ``driver`` changes to the other of two
-    lanes, ``lane_m`` apart, at each of ``lane_changes_s``.
+    ``csv`` has two columns: time in s, reference in m/s². ``samples`` has a value for each tick; the
+    last one stays. ``driver`` changes to the other of two lanes, ``lane_m`` apart, at each of
+    ``lane_changes_s``.
     """
 
     kind: ReferenceKind = "step"
-    amplitude_mps2: Annotated[float, Field(ge=-MAX_REFERENCE_MPS2, le=MAX_REFERENCE_MPS2)] = 1.0
+    amplitude_mps2: Reference = 1.0
     frequency_rad_per_s: PositiveFloat = 5.0
     file: str = ""
+    samples_mps2: tuple[Reference, ...] | None = None
     lane_changes_s: tuple[Moment, ...] | None = None
     lane_m: Annotated[float, Field(gt=0.0, le=100.0)] = 3.5
     preview_s: Annotated[float, Field(ge=0.1, le=10.0)] = 2.0
@@ -298,6 +301,8 @@ class ReferenceSettings:
             )
         if self.kind == "csv" and not self.file:
             raise ValueError('file: must name the CSV file of a reference of kind "csv"')
+        if self.kind == "samples" and not self.samples_mps2:
+            raise ValueError('samples_mps2: must have a value for a reference of kind "samples"')
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -374,6 +379,7 @@ class Scenario:
             if getattr(self.model, key) != SignalSettings():
                 raise ValueError(f"model.{key}: must be plant.{key}; a signal has one name")
         _refuse_speeds(self)
+        self.controller.refuse_other_tick(self.tick_s)
         if self.disturbances and self.plant.kind in BY_NUMBERS:
             raise ValueError(
                 f"disturbance: plant.kind = {self.plant.kind!r}: must be {CAR} or a class; a plant "
