@@ -76,7 +76,7 @@ def _plain(key: str, value: Any) -> Any:
         return Whole(sos=value.to_scipy_sos().tolist(), tick_s=value.tick_s)
     if any(hasattr(value, name) for name in ("num", "poles", "A")):
         return _transfer_function(key, value)
-    if dataclasses.is_dataclass(value):
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return Whole(_without_none(dataclasses.asdict(value)))
     if hasattr(value, "__array__"):
         value = np.asarray(value)

@@ -276,8 +276,8 @@ class BudgetSettings:
 class ReferenceSettings:
     """The reference of D*; ``reference`` has the shapes.
 
-    ``csv`` has two columns: time in s, reference in m/s². ``samples`` has a value for each tick; the
-    last one stays. ``driver`` changes to the other of two lanes, ``lane_m`` apart, at each of
+    ``csv`` has two columns: time in s, reference in m/s². ``samples`` has a value for each tick;
+    the last one stays. ``driver`` changes to the other of two lanes, ``lane_m`` apart, at each of
     ``lane_changes_s``.
     """
 
