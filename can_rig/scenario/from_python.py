@@ -74,7 +74,7 @@ def _plain(key: str, value: Any) -> Any:
         return kind_of(key, value)
     if hasattr(value, "to_scipy_sos"):
         return Whole(sos=value.to_scipy_sos().tolist(), tick_s=value.tick_s)
-    if any(hasattr(value, name) for name in ("num", "poles", "A")):
+    if any(hasattr(value, name) for name in ("A", "num", "poles")):
         return _transfer_function(key, value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return Whole(_without_none(dataclasses.asdict(value)))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Annotated, Any, Final, Literal, get_args, get_type_hints
 
@@ -29,12 +30,14 @@ from can_rig.scenario.plant_settings import (
     BUILT_IN,
     BY_NUMBERS,
     CAR,
+    NUMBERS,
     SIGNALS,
     STRICT,
     PlantSettings,
     SignalSettings,
 )
 from can_rig.scenario.sensor_settings import ECHOES, MEASURED, FurtherSensor
+from firmware_model.design.vehicle import VehicleParameters
 from firmware_model.discretisation.rules import Rule
 from firmware_model.law.structs import MAX_LATENCY_TICKS, Precision
 
@@ -460,12 +463,14 @@ class Scenario:
             *(("fault", fault) for fault in self.faults),
             *(("disturbance", each) for each in self.disturbances),
         ]
-        return [
+        never = [
             f"note: the {noun} ({each.kind} at {each.at_s:g} s) never occurs: "
             f"the run ends at {self.ticks * self.tick_s:g} s"
             for noun, each in listed
             if each.span_ns[0] >= self.ticks * self.tick_ns
         ]
+        others = "; for ".join(_other_plant(self))
+        return [f"note: designed for {others}"] * bool(others) + never
 
     def as_dict(self) -> dict[str, Any]:
         """Every key and value in the form of a scenario file: a list of one is a table."""
@@ -473,6 +478,25 @@ class Scenario:
         for key in LISTS:
             values[key] = values[key][0] if len(values[key]) == 1 else list(values[key])
         return values
+
+
+def _other_plant(scenario: Scenario) -> Iterator[str]:
+    """Each number of the model beside the plant's, where both differ."""
+    plant, model = scenario.plant, scenario.model
+    for key in (
+        "variant",
+        *NUMBERS,
+        *(each.name for each in dataclasses.fields(VehicleParameters)),
+    ):
+        believed, true = getattr(model, key), getattr(plant, key)
+        if believed == true or (key == "speed_mps" and scenario.drive.is_given):
+            continue
+        if key == "speed_mps":
+            yield f"{believed:g} m/s, driven at {true:g} m/s"
+        elif isinstance(true, float):
+            yield f"{key} = {believed:g}, driven with {true:g}"
+        else:
+            yield f"model.{key}, driven with another plant.{key}"
 
 
 def keys(table: type = Scenario, prefix: str = "") -> list[str]:
