@@ -21,6 +21,7 @@ from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import (
     CHANNELS,
     MAX_DURATION_S,
+    PLACES,
     FaultSettings,
     Moment,
     outages,
@@ -448,6 +449,11 @@ class Scenario:
         """The further sensors in the order of their frames, whatever their order in the file."""
         return tuple(sorted(self.sensor, key=lambda each: MEASURED.index(each.measures)))
 
+    @cached_property
+    def places(self) -> tuple[str, ...]:
+        """The senders of frames that can fail: ``PLACES``, then the further sensors."""
+        return (*PLACES, *(each.measures for each in self.sensors))
+
     @property
     def loss(self) -> FaultSettings:
         """The loss to prepare for: the first fault of a channel, otherwise a default loss."""
@@ -546,11 +552,12 @@ def _refuse_sensors(scenario: Scenario) -> None:
     """
     there = [each.measures for each in scenario.sensor]
     for fault in scenario.faults:
-        if fault.channel in MEASURED and fault.channel not in there:
-            raise ValueError(
-                f"fault.channel = {fault.channel!r}: must be a sensor of the scenario; it has "
-                f"{', '.join(there) or 'none'}"
-            )
+        for key, name in (("channel", fault.channel), ("other", fault.other)):
+            if name in MEASURED and name not in there:
+                raise ValueError(
+                    f"fault.{key} = {name!r}: must be a sensor of the scenario; it has "
+                    f"{', '.join(there) or 'none'}"
+                )
     if scenario.sensor and scenario.network.signals:
         raise ValueError(
             "sensor: network.signals: must not be set; further sensors have messages in the rig's "
