@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
+from can_rig.controllers.making import PEER
 from can_rig.controllers.our_law import PYTHON
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
@@ -45,7 +46,8 @@ def record(
     """Both nodes in this process; where the log is, and how it went."""
     scenario = load(name, settings)
     log = folder / f"{len(os.listdir(folder))}.log"  # noqa: PTH208
-    summary = run_in_process(scenario, bus, log, StopRequest(), lambda tick: None, PYTHON)
+    controller = PYTHON if scenario.controller.is_ours else PEER
+    summary = run_in_process(scenario, bus, log, StopRequest(), lambda tick: None, controller)
     return log, summary, scenario
 
 

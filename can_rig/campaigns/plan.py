@@ -18,6 +18,7 @@ from can_rig.assessment.resolve import resolve
 from can_rig.campaigns.settings import (
     MOST_RUNS,
     SCENARIO,
+    Alternative,
     AxisSettings,
     CampaignSettings,
     Scalar,
@@ -35,6 +36,7 @@ from can_rig.scenario.loading import (
     written,
 )
 from can_rig.scenario.plant_settings import SHORTEST_LAG_S
+from can_rig.scenario.sensor_settings import MEASURED
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import FloatArray
 
@@ -95,6 +97,15 @@ class Base:
         """Whether the key exists, set or not."""
         table = value_in(self.values, key.rpartition(".")[0])
         return isinstance(table, dict) and key.rpartition(".")[2] in table
+
+    def possible(self, alternatives: Mapping[str, Alternative]) -> list[str]:
+        """The names of the alternatives whose further sensors the scenario has."""
+        lacking = {*MEASURED} - {each.measures for each in self.scenario.sensors}
+        return [
+            name
+            for name, keys in alternatives.items()
+            if not any(lacking & {*map(str, axis.values or ())} for axis in keys.values())
+        ]
 
     def drawn(self, key: str, axis: AxisSettings, unit: float) -> Scalar:
         """The value of an axis at a position in [0, 1], without the values of other keys."""
@@ -310,7 +321,7 @@ class Plan:
             names[SCENARIO] = _one_of(list(self.bases), next(units))
             base = self.bases[str(names[SCENARIO])]
         for table, alternatives in self.settings.choices.items():
-            names[table] = _one_of(list(alternatives), next(units, 0.0))
+            names[table] = _one_of(base.possible(alternatives), next(units, 0.0))
             spare = [next(units, 0.0) for _ in range(self._most[table])]
             for key, axis in alternatives[str(names[table])].items():
                 drawn[f"{table}.{key}"] = axis, spare.pop(0) if axis.is_drawn else 0.0

@@ -158,8 +158,11 @@ def _size(fault: FaultSettings, names: Names) -> str:
         "oscillating": ("by", fault.amplitude, unit),
         "limited": ("to", fault.rate_per_s, a_second),
         "stuck": ("at", fault.value, unit),
+        "scaled": ("by", fault.gain, ""),
         "forged": ("as", fault.value, unit),
     }
+    if fault.other is not None:
+        return f"with {fault.other.replace('-', ' ')}"
     if fault.kind.endswith("-late"):
         return f"by {ticks_text(fault.late_ticks)}"
     word, value, its_unit = sizes.get(fault.kind.rpartition("-")[2], ("", None, ""))

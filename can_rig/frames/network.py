@@ -82,6 +82,11 @@ class Network:
         return (*((self.speed,) if self.speed else ()), self.reference, self.feedback)
 
     @property
+    def can_fail(self) -> tuple[MessageCodec, ...]:
+        """The frames that faults change, by place; see ``Scenario.places``."""
+        return (self.command_1, self.command_2, self.feedback, *self.witnesses)
+
+    @property
     def offered(self) -> int:
         """How many frames the plant node sends in every tick, before the controller's."""
         return len(self.inputs)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from itertools import chain
 from typing import Final
 
@@ -17,16 +18,16 @@ import numpy as np
 
 from can_rig.buses.local.bus import LocalBus
 from can_rig.controllers.protocol import Answer, Status, said
-from can_rig.frames.codec import Hearing, MessageCodec, Receiver, Record, Transmitter, ticks_ahead
+from can_rig.frames.codec import MessageCodec, Receiver, Record, Transmitter, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.nodes.bursts import Bursts
 from can_rig.nodes.bus_access import PersistentSender, Send
 from can_rig.nodes.recording import CandumpLines, Log, PlantRecorder
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
+from can_rig.plant.witnesses import SensorFrames, hearing_of
 from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.reference import reference, refuse_saturation
-from can_rig.scenario.sensor_settings import SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
 
 COMMANDS: Final = 2
@@ -102,9 +103,9 @@ class PlantEnd:
         self._send_feedback = Transmitter(network.feedback)
         self._send_nothing = Transmitter(network.feedback)  # with the counter of the other
         self._send_speed = None if network.speed is None else Transmitter(network.speed)
-        self._witnesses = [Transmitter(codec) for codec in network.witnesses]
         self._speeds = np.empty(0) if network.speed is None else speeds_at_ticks(scenario)
         self._faults = FrameFaults(scenario, network, changing)
+        self._witnesses = SensorFrames(network.witnesses, self._faults)
         self._receivers = tuple(
             Receiver(codec) for codec in (network.command_1, network.command_2, network.status)
         )
@@ -142,12 +143,7 @@ class PlantEnd:
             feedback = self._faults.on_the_wire(
                 own, SENSOR_PLACE, tick, self._send_nothing.frame(math.nan, tick)
             )
-        witnesses = [
-            self._witnesses[each.sensor].frame(
-                each.value, tick, int(each.valid), 0, each.sample_tick % SAMPLE_TICKS
-            )
-            for each in self.plant.said
-        ]
+        witnesses = self._witnesses.of(self.plant.said, tick)
         self._offered = (*witnesses, reference, *feedback)
         if self._send_speed is not None:
             self._offered = (self._send_speed.frame(self._speeds.item(tick), tick), *self._offered)
@@ -238,8 +234,7 @@ class ControllerEnd:
         self.faults: Final = FrameFaults(scenario, network)
         """Those of the answer."""
         self._rejected: Rejected = {}
-        self._timings = [each.timing(scenario.tick_s) for each in scenario.sensors]
-        self._names = [each.usual.column for each in scenario.sensors]
+        self._powered_up = partial(hearing_of, scenario, network)
         self._begin()
 
     def restart(self) -> None:
@@ -253,7 +248,7 @@ class ControllerEnd:
         self.reference = Receiver(network.reference)
         self.feedback = Receiver(network.feedback)
         self.speed = None if network.speed is None else Receiver(network.speed)
-        self.witnesses = Hearing(network.witnesses, self._timings, self._names)
+        self.witnesses = self._powered_up()
         """Those of the further sensors."""
         self._commands = (Transmitter(network.command_1), Transmitter(network.command_2))
         self._status = Transmitter(network.status)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig import paged
+from can_rig.frames.codec import FRAME_BYTES
 from can_rig.frames.frame_columns import UInt8s, payloads
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import OnTick, StopRequest
@@ -26,7 +27,6 @@ from can_rig.plant.frameless import carried
 from can_rig.plant.in_windows import LoopInWindows
 from can_rig.plant.witnesses import Sensed
 from can_rig.scenario.build import network_of
-from can_rig.scenario.sensor_settings import SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import BoolArray
 from firmware_model.law.structs import FloatArray
@@ -73,9 +73,8 @@ class RunWithoutBus:
         self._reports = self._files.enter_context(PlantRecorder(log))
         plant, sensors = plant_of(scenario), self._network.witnesses
         self._linear = plant if isinstance(plant, LinearBehind) and not sensors else None
-        self._said_before = np.zeros(len(sensors), dtype=np.int64)
         reporting = _Reporting(plant, self._reports)
-        self._sensed = Sensed(scenario, sensors, reporting) if sensors else None
+        self._sensed = Sensed(scenario, self._network, reporting) if sensors else None
         self._frames: dict[str, FloatArray] = {}
         self._plant: dict[str, FloatArray] = {}
         self._said: dict[str, FloatArray] = {}
@@ -181,27 +180,21 @@ class RunWithoutBus:
         """The frames of the further sensors, and in which ticks they are sent."""
         if self._sensed is None:
             return [], np.zeros((len(ticks), 0), dtype=np.bool_)
-        said = list(self._sensed.said)[-len(ticks) :]
-        shape = len(ticks), len(self._said_before)
-        values, sent = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)
-        valid, samples = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
-        for at, those in enumerate(said):
-            for each in those:
-                place = at, each.sensor
-                values[place], sent[place] = each.value, True
-                valid[place], samples[place] = each.valid, each.sample_tick % SAMPLE_TICKS
-        heard = np.where(valid, values, np.nan)
+        codecs = self._network.witnesses
+        places = {codec.frame_id: at for at, codec in enumerate(codecs)}
+        shape = len(ticks), len(codecs)
+        heard, sent = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)
+        frames = np.zeros((*shape, FRAME_BYTES), dtype=np.uint8)
+        for tick, messages in enumerate(list(self._sensed.sent)[-len(ticks) :]):
+            for message in messages:
+                at = places[message.arbitration_id]
+                frames[tick, at], sent[tick, at] = list(message.data), True
+                record = codecs[at].decode(message.data)
+                if record.mode:
+                    heard[tick, at] = record.value
         names = [each.usual.column for each in self._scenario.sensors]
         self._keep(self._said, ticks, dict(zip(names, heard.T, strict=True)))
-        counts = self._said_before + np.cumsum(sent, axis=0) - sent
-        self._said_before += sent.sum(axis=0)
-        frames = [
-            payloads(
-                codec, values[:, at], ticks.start, valid[:, at], None, samples[:, at], counts[:, at]
-            )
-            for at, codec in enumerate(self._network.witnesses)
-        ]
-        return frames, sent
+        return list(frames.swapaxes(0, 1)), sent
 
     def _keep(
         self, columns: dict[str, FloatArray], ticks: range, said: dict[str, FloatArray]

@@ -226,7 +226,7 @@ def simulation(
     """``scenario`` without a bus, at rest; for the arguments see ``frameless``, ``Simulation``."""
     if of is None and network.witnesses and not isinstance(plant, Sensed):
         assert not isinstance(plant, SampledPlant)
-        plant = Sensed(scenario, network.witnesses, plant)
+        plant = Sensed(scenario, network, plant)
     return Simulation(
         InLoop(scenario, plant) if of is None else of.table,
         plant,
@@ -284,12 +284,14 @@ class InLoop:
     def restart(self) -> None:
         """See ``AnyController``."""
         self.peer = peer_of(self._scenario)
+        if self._senses is not None:
+            self._senses.restart()
 
     def answer(
         self, reference: float, measurement: float, speed: float
     ) -> tuple[float, float, float, int, int, int]:
         """See ``AnyController``."""
-        heard = NO_WITNESSES if self._senses is None else self._senses.heard
+        heard = NO_WITNESSES if self._senses is None else self._senses.heard()
         answer = self.peer.step(ControllerInputs(reference, measurement, speed, heard))
         return answer.command_1, answer.command_2, *said(answer)
 

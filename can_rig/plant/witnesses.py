@@ -5,15 +5,18 @@ Every loop takes the same compiled ``sense``, so each says the same bits.
 
 from __future__ import annotations
 
-import math
 import struct
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
+from can import Message
 
-from can_rig.frames.codec import AGE, MessageCodec, nothing_heard
+from can_rig.frames.codec import Hearing, MessageCodec, Transmitter
+from can_rig.frames.network import Network
+from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import NoiseColumns
 from can_rig.scenario.sensor_settings import ECHOES, MEASURED, SAMPLE_TICKS
@@ -165,40 +168,77 @@ class SensesByTick:
         self._bias, self._rows = self._faults.of_witnesses(ticks)
 
 
+class SensorFrames:
+    """The frames of the further sensors on the bus.
+
+    Args:
+        codecs: of the sensors.
+        faults: of the frames.
+    """
+
+    def __init__(self, codecs: Sequence[MessageCodec], faults: FrameFaults) -> None:
+        self._senders = [Transmitter(codec) for codec in codecs]
+        self._faults = faults
+
+    def of(self, said: Sequence[Said], tick: int) -> list[Message]:
+        """The frames of a tick in which the sensors say this."""
+        own = {
+            each.sensor: self._senders[each.sensor].frame(
+                each.value, tick, int(each.valid), 0, each.sample_tick % SAMPLE_TICKS
+            )
+            for each in said
+        }
+        return [
+            frame
+            for at in range(len(self._senders))
+            for frame in self._faults.on_the_wire(own.get(at), SENSOR_PLACE + 1 + at, tick)
+        ]
+
+
+def hearing_of(scenario: Scenario, network: Network) -> Hearing:
+    """The receivers of the further sensors' frames."""
+    timings = [each.timing(scenario.tick_s) for each in scenario.sensors]
+    names = [each.usual.column for each in scenario.sensors]
+    return Hearing(network.witnesses, timings, names)
+
+
 class Sensed:
-    """A plant in a loop without frames, whose further sensors somebody hears.
+    """A plant in a loop without a bus, whose further sensors somebody hears.
 
     Args:
         scenario: the run.
-        codecs: the sensors' frames.
+        network: its frames.
         plant: at rest.
     """
 
-    def __init__(
-        self, scenario: Scenario, codecs: Sequence[MessageCodec], plant: PlantRead
-    ) -> None:
+    def __init__(self, scenario: Scenario, network: Network, plant: PlantRead) -> None:
         self._plant, self._tick = plant, 0
+        codecs = network.witnesses
         self._senses = SensesByTick(scenario, codecs, PlantFaults(scenario).latest_ticks)
-        self._names = [each.usual.column for each in scenario.sensors]
+        self._frames = SensorFrames(codecs, FrameFaults(scenario, network))
+        self._powered_up = partial(hearing_of, scenario, network)
         self.witnesses, self.follow = plant.witnesses, plant.follow
         """See ``PlantBehind``."""
-        self.said: Final[deque[list[Said]]] = deque(maxlen=KEPT_TICKS)
-        """What the frames of the last ticks say."""
+        self.sent: Final[deque[list[Message]]] = deque(maxlen=KEPT_TICKS)
+        """The frames of the last ticks."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Who hears the sensors begins again."""
+        self._hearing = self._powered_up()
 
     def sense(self, told: tuple[float, float]) -> None:
         """See ``SensedPlant``."""
-        self.said.append(self._senses.take(self._tick, self._plant.witnesses, told))
+        said = self._senses.take(self._tick, self._plant.witnesses, told)
+        self.sent.append(self._frames.of(said, self._tick))
         self._tick += 1
 
-    @property
-    def heard(self) -> dict[str, float]:
-        """What a controller hears at this tick; see ``Hearing``."""
-        found = nothing_heard(self._names)
-        for each in self.said[-1]:
-            name = self._names[each.sensor]
-            found[name] = each.value if each.valid else math.nan
-            found[name + AGE] = (self._tick - 1 - each.sample_tick) % SAMPLE_TICKS
-        return found
+    def heard(self) -> Mapping[str, float]:
+        """What a controller hears at this tick, once; see ``Hearing``."""
+        tick = self._tick - 1
+        for message in self.sent[-1]:
+            self._hearing.take(message, tick)
+        return self._hearing.end_tick(tick)
 
 
 def frame_row(codec: MessageCodec) -> FloatArray:

@@ -209,7 +209,7 @@ def _runs_without_frames(controller: Supplied) -> bool:
 def _needs_no_bus(scenario: Scenario, network: Network, controller: Supplied) -> bool:
     """Whether a run without a bus has the same log: every tick has the same frames."""
     alike = _runs_without_frames(controller) and network.is_the_rigs
-    return alike and not any(fault.adds_frames for fault in scenario.faults)
+    return alike and not any(fault.needs_a_bus for fault in scenario.faults)
 
 
 def _with_reference(

@@ -13,7 +13,6 @@ from can_rig.frames.databases import shipped_dbc
 from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network, load_network
 from can_rig.scenario.box import in_box, uncertain, with_lags
-from can_rig.scenario.fault_settings import PLACES
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
@@ -54,11 +53,10 @@ def network_of(scenario: Scenario) -> Network:
     data_ids = {role: number for role, number in asdict(chosen.data_ids).items() if number}
     ticks = asdict(chosen.ticks) if chosen.ticks else chosen.tick
     network = map_network(chosen.dbc, Roles(chosen.signals.of_frames, ticks, data_ids))
-    codecs = (network.command_1, network.command_2, network.feedback)
     for fault in scenario.faults:
         if fault.kind != "frames-corrupted":
             continue
-        codec = codecs[PLACES.index(fault.place)]
+        codec = network.can_fail[scenario.places.index(fault.place)]
         if not codec.protected:
             raise ScenarioError(
                 f"scenario {scenario.name}: fault.kind = 'frames-corrupted': must be another, or "

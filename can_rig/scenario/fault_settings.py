@@ -1,6 +1,6 @@
 """The keys of a fault: place, kind, begin and duration.
 
-The first word of a kind names the place: an actuator, the sensor, or a frame in transit. A scenario
+The first word of a kind names the place: an actuator, a sensor, or a frame in transit. A scenario
 has any number of faults; faults may overlap.
 """
 
@@ -13,7 +13,7 @@ from pydantic import Field, PositiveFloat
 from pydantic.dataclasses import dataclass
 
 from can_rig.scenario.plant_settings import STRICT
-from can_rig.scenario.sensor_settings import MEASURED, Measured
+from can_rig.scenario.sensor_settings import ECHOES, MEASURED, Measured
 
 FaultKind = Literal[
     "none",
@@ -31,6 +31,11 @@ FaultKind = Literal[
     "sensor-oscillating",
     "sensor-rate-limited",
     "sensor-late",
+    "sensor-scaled",
+    "sensor-lying",
+    "sensor-invalid",
+    "sensor-tick-stuck",
+    "sensor-swapped",
     "frames-missing",
     "frames-corrupted",
     "frames-repeated",
@@ -71,6 +76,7 @@ NUMBER: Final = {
     "actuator-late": "late_ticks",
     "sensor-late": "late_ticks",
     "sensor-biased": "bias_mps2",
+    "sensor-scaled": "gain",
     "frames-late": "late_ticks",
     "frames-forged": "value",
 }
@@ -79,15 +85,19 @@ NUMBER: Final = {
 WHERE_IT_IS: Final = ("actuator-stuck", "sensor-stuck")
 """Kinds with an optional number."""
 
+OF_ECHOES: Final = ("sensor-lying",)
+SWAPPED: Final = "sensor-swapped"
+OF_FURTHER_SENSORS: Final = (*OF_ECHOES, "sensor-invalid", "sensor-tick-stuck", SWAPPED)
+"""Kinds of a sensor whose frame says the validity and the tick of the sample."""
+
 
 @dataclass(frozen=True, config=STRICT)
 class FaultSettings:
     """One fault from ``at_s`` on, endless or for ``for_s`` seconds, at every ``every``-th tick.
 
-    ``channel`` names the place of an actuator fault or a frame fault, or the further sensor of a
-    sensor fault. ``value``, ``offset``,
-    ``drift_per_s``, ``amplitude`` and ``rate_per_s`` have the unit of the failing signal: N m, N or
-    m/s².
+    ``channel`` names the actuator, the further sensor, or the sender of the frames. ``value``,
+    ``offset``, ``drift_per_s``, ``amplitude`` and ``rate_per_s`` have the unit of the failing
+    signal: N m, N, m/s², rad/s or rad. ``other`` is the sensor with which one is swapped.
     """
 
     kind: FaultKind = "none"
@@ -103,6 +113,8 @@ class FaultSettings:
     amplitude: float | None = None
     frequency_rad_per_s: PositiveFloat = 10.0
     rate_per_s: PositiveFloat | None = None
+    gain: float | None = None
+    other: Measured | None = None
     late_ticks: Annotated[int, Field(ge=1, le=MAX_LATE_TICKS)] = 10
 
     def __post_init__(self) -> None:
@@ -113,8 +125,16 @@ class FaultSettings:
             raise ValueError(
                 f"channel = {SENSOR!r}: must be torque or force-difference for {self.kind!r}"
             )
+        allowed = ECHOES if self.kind in OF_ECHOES else MEASURED
+        if self.kind in OF_FURTHER_SENSORS and self.channel not in allowed:
+            raise ValueError(
+                f"channel = {self.channel!r}: must be {' or '.join(allowed)} for {self.kind!r}"
+            )
+        if (self.other is None) == (self.kind == SWAPPED) or self.other == self.channel:
+            must = "another sensor than the channel" if self.kind == SWAPPED else "left out"
+            raise ValueError(f"other = {self.other!r}: must be {must} for {self.kind!r}")
         if self.channel in MEASURED:
-            if self.kind != "none" and not self.kind.startswith("sensor-"):
+            if self.kind.startswith(("actuator-", "controller-")):
                 raise ValueError(
                     f"channel = {self.channel!r}: must be one of {', '.join(PLACES)} for "
                     f"{self.kind!r}"
@@ -153,10 +173,11 @@ class FaultSettings:
         return self.kind.startswith("frames-")
 
     @property
-    def adds_frames(self) -> bool:
-        """Whether the fault sends other frames than the tick's regular, perhaps damaged frames."""
+    def needs_a_bus(self) -> bool:
+        """Whether a log needs nodes: other frames than the regular, perhaps damaged commands."""
         alone = "frames-missing" if self.place == SENSOR else "frames-corrupted"
-        return self.acts_on_frames and self.kind not in {"frames-missing", alone}
+        regular = self.place in PLACES and self.kind in {"frames-missing", alone}
+        return self.acts_on_frames and not regular
 
     @property
     def loses_a_channel(self) -> bool:

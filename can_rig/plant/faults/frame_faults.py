@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from can_rig.frames.codec import COUNTERS, MessageCodec, Receiver, Transmitter
 from can_rig.frames.network import Network
-from can_rig.scenario.fault_settings import PLACES, FaultSettings
+from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.sensor_settings import SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import BoolArray
 
@@ -119,7 +120,8 @@ class Forged:
 
     def pass_on(self, frames: list[Message], tick: int, there: bool) -> list[Message]:
         """See ``FrameFault``."""
-        forged = self._intruder.frame(self._value, tick)  # at every tick, to advance the counter
+        # at every frame of the sender, to advance the counter; of a further sensor it is valid
+        forged = self._intruder.frame(self._value, tick, 1, 0, tick % SAMPLE_TICKS)
         return [forged, *frames] if there else frames
 
 
@@ -137,11 +139,11 @@ class Scheduled(NamedTuple):
 
 
 class FrameFaults:
-    """The faults of a scenario's command frames and D* frame.
+    """The faults of a scenario's frames.
 
-    A place is 0 or 1 for a command, ``SENSOR_PLACE`` for D*. Overlapping faults act in the
-    scenario's order. All faults that corrupt a place's frames act as one fault, so each frame
-    changes at most once.
+    A place is 0 or 1 for a command, ``SENSOR_PLACE`` for D*, then come the further sensors; see
+    ``Scenario.places``. Overlapping faults act in the scenario's order. All faults that corrupt a
+    place's frames act as one fault, so each frame changes at most once.
 
     Args:
         scenario: the scenario with the faults.
@@ -150,7 +152,7 @@ class FrameFaults:
     """
 
     def __init__(self, scenario: Scenario, network: Network, changing: bool = False) -> None:
-        self._codecs = (network.command_1, network.command_2, network.feedback)
+        self._codecs = network.can_fail
         self._changing = changing
         self._scenario = scenario
         self.restart()
@@ -175,7 +177,7 @@ class FrameFaults:
         for settings in scenario.faults:
             if not settings.acts_on_frames:
                 continue
-            place = PLACES.index(settings.place)
+            place = scenario.places.index(settings.place)
             ticks = settings.ticks(scenario.tick_ns, range(scenario.ticks))
             late_ticks = settings.late_ticks if settings.kind == "frames-late" else 0
             self.ticks[place].append(range(ticks.start, ticks.stop + late_ticks))
@@ -191,13 +193,18 @@ class FrameFaults:
             faults.append(Scheduled(always, fault, [ticks]))
 
     def on_the_wire(
-        self, frame: Message, place: int, tick: int, otherwise: Message | None = None
+        self, frame: Message | None, place: int, tick: int, otherwise: Message | None = None
     ) -> list[Message]:
         """The frames on the bus when the node of ``place`` sends ``frame`` of ``tick``.
+
+        None is a tick between two frames of a further sensor, in which late frames alone come.
 
         Where ``frame`` itself is absent, ``otherwise`` comes last: the D* frame starts a controller
         tick, and a lockstep run needs every start.
         """
+        if frame is None:
+            late = (each.fault for each in self._faults[place] if isinstance(each.fault, Late))
+            return [message for fault in late for message in fault.pass_on([], tick, False)]
         frames = [frame]
         for each in self._faults[place]:
             frames = each.fault.pass_on(frames, tick, each.at(tick))

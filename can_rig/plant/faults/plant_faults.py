@@ -1,4 +1,4 @@
-"""The effects of scheduled faults on the actuators and the sensor, for any part of a run.
+"""The effects of scheduled faults on the actuators and the sensors, for any part of a run.
 
 Overlapping faults act in the scenario's order. ``frame_faults`` has the faults of frames.
 """
@@ -81,6 +81,15 @@ def _late(fault: FaultSettings, rows: FloatArray, _: float) -> None:
     rows[:, LATE] += fault.late_ticks
 
 
+def _marked(place: int) -> Distortion:
+    """The effect that ``witnesses`` has at this place of a row."""
+
+    def mark(_fault: FaultSettings, rows: FloatArray, _: float) -> None:
+        rows[:, place] = 1.0
+
+    return mark
+
+
 DISTORTING: Final[dict[str, Distortion]] = {
     "actuator-stuck": _stuck,
     "actuator-rate-limited": _rate_limited,
@@ -89,12 +98,16 @@ DISTORTING: Final[dict[str, Distortion]] = {
     "sensor-stuck": _stuck,
     "sensor-rate-limited": _rate_limited,
     "sensor-late": _late,
+    "sensor-scaled": lambda fault, rows, _: _scaled(rows, fault.gain or 0.0),
+    "sensor-lying": _marked(witnesses.LIES),
+    "sensor-invalid": _marked(witnesses.INVALID),
+    "sensor-tick-stuck": _marked(witnesses.STANDING),
 }
-"""Other distorting kinds, apart from losses of an actuator."""
+"""Other distorting kinds, apart from losses of an actuator and swapped sensors."""
 
 
 class PlantFaults:
-    """The faults in a scenario's actuators or sensor."""
+    """The faults in a scenario's actuators or sensors."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._tick_ns, self._tick_s = scenario.tick_ns, scenario.tick_s
@@ -159,7 +172,12 @@ class PlantFaults:
         rows = np.tile(witnesses.HEALTHY, (len(ticks) if self._of_witnesses else 1, r, 1))
         for fault in self._of_witnesses:
             at, sensor = self._at(fault, ticks), self._sensors.index(fault.place)
-            if fault.kind in ADDING:
+            if fault.other is not None:
+                other = self._sensors.index(fault.other)
+                rows[at, sensor, witnesses.SWAPPED], rows[at, other, witnesses.SWAPPED] = (
+                    other, sensor,
+                )  # fmt: skip
+            elif fault.kind in ADDING:
                 bias[at, sensor] += ADDING[fault.kind](fault, self._since_s(fault, ticks))
             else:
                 DISTORTING[fault.kind](fault, rows[at, sensor], self._tick_s)

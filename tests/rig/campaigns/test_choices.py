@@ -18,6 +18,7 @@ from can_rig.campaigns.rows import require_tables, requirements_of, run_row, sch
 from can_rig.campaigns.settings import campaign_of, read_campaign, shipped
 from can_rig.campaigns.statistics import cross, parts_by_name
 from can_rig.errors import ScenarioError
+from can_rig.scenario.sensor_settings import MEASURED
 
 OFFSET = {"kind": "actuator-offset", "offset": {"range": [10.0, 50.0], "either_sign": True}}
 LATE = {"kind": "actuator-late", "late_ticks": {"range": [0.01, 0.05], "per": "tick_s"}}
@@ -212,3 +213,14 @@ def test_many_numbers_are_eight_rows_and_few_are_their_own() -> None:
     assert names[0] == "0 to 9" and names[79] == "70 to 79"
     assert parts_by_name([2, None, 3, 2]) == ["2", "-", "3", "2"]
     assert parts_by_name([True, False]) == ["True", "False"]
+
+
+def test_faults_of_further_sensors_are_drawn_where_the_scenario_has_the_sensor() -> None:
+    made = plan(read_campaign("faults", scenario=["default", "cluster"]))
+    places: dict[str, set[str | None]] = {"default": set(), "cluster": set()}
+    for run in range(400):
+        values = made.values_of(run)
+        (fault,) = made.scenario_of(run).fault
+        places[str(values["scenario"])] |= {fault.channel, fault.other}
+    assert places["default"] & {*MEASURED} == set()
+    assert places["cluster"] >= {*MEASURED}

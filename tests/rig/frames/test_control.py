@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from can_rig.frames import operator_frames
 from can_rig.plant.faults.injection import injected
-from can_rig.scenario.fault_settings import NUMBER, FaultKind
+from can_rig.scenario.fault_settings import NUMBER, OF_FURTHER_SENSORS, FaultKind
 from tests.helpers import DBC
 
 DATABASE = cantools.database.load_file(DBC / "control.dbc", strict=True)
@@ -63,7 +63,8 @@ def test_what_is_taken_is_said_in_the_same_signals():
 
 
 def test_every_kind_of_the_dbc_can_be_injected():
-    assert {"none", "controller-restarted", *operator_frames.kinds()} == set(get_args(FaultKind))
+    others = {"none", "controller-restarted", *OF_FURTHER_SENSORS}
+    assert {*others, *operator_frames.kinds()} == set(get_args(FaultKind))
     for kind in operator_frames.kinds():
         place = "sensor" if kind.startswith("sensor-") else "torque"
         fault = injected(operator_frames.Command("INJECT", kind, place, 0.5), 3, 1_000_000)

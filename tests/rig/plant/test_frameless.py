@@ -17,7 +17,8 @@ from can_rig.plant.frameless import frameless, inputs_of
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import controller_table, network_of
-from can_rig.scenario.fault_settings import PLACES, RESTARTED, FaultKind
+from can_rig.scenario.fault_settings import OF_FURTHER_SENSORS, PLACES, RESTARTED, FaultKind
+from can_rig.scenario.sensor_settings import ECHOES, MEASURED
 from firmware_model.analysis.simulation import Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law.status import Mode
@@ -55,15 +56,15 @@ def compared(folder: Path, name: str, *settings: str) -> Trace:
     trace = frameless(scenario, network)
     assert len(bus) == scenario.ticks == len(trace.measured)
     np.testing.assert_array_equal(trace.measured, bus.dstar_mps2)
-    if not any(fault.adds_frames for fault in scenario.faults):
+    if not any(fault.needs_a_bus for fault in scenario.faults):
         other = folder / "other.log"
         run_without_bus(scenario, other, StopRequest(), lambda _: None)
         assert other.read_bytes() == log.read_bytes()
     return trace
 
 
-def drawn(seed: int) -> list[str]:
-    """Up to four faults with every key drawn, in 0.2 s."""
+def drawn(seed: int, sensed: bool = False) -> list[str]:
+    """Up to four faults with every key drawn, in 0.2 s, perhaps of further sensors too."""
     draw = np.random.default_rng(seed)
     settings = ["duration_s=0.2", f"seed={seed}", "reference.kind=sine"]
     settings += ["reference.frequency_rad_per_s=30", f"latency_ticks={draw.integers(3)}"]
@@ -73,10 +74,17 @@ def drawn(seed: int) -> list[str]:
     faults: list[dict[str, object]] = []
     for at in range(int(draw.integers(1, 5))):
         kind = str(draw.choice(KINDS)) if at else KINDS[seed % len(KINDS)]
-        places = PLACES if kind.startswith("frames-") else PLACES[:2]
+        places = [*PLACES[:2]]
+        if sensed and not kind.startswith(("actuator-", "controller-")):
+            places += ECHOES if kind == "sensor-lying" else MEASURED
+        places += ["sensor"] if kind.startswith("frames-") else []
+        places = [each for each in places if each in MEASURED or kind not in OF_FURTHER_SENSORS]
+        if not places:
+            continue
+        channel = str(draw.choice(places))
         values = {
             "kind": kind,
-            "channel": str(draw.choice(places)),
+            "channel": channel,
             "at_s": int(draw.integers(150)) / 1000,
             "for_s": int(draw.integers(1, 150)) / 1000,
             "every": 1 if kind == RESTARTED else int(draw.choice([1, 1, 1, 2, 7])),
@@ -88,6 +96,9 @@ def drawn(seed: int) -> list[str]:
             "rate_per_s": float(draw.uniform(0.1, 300)),
             "late_ticks": int(draw.integers(1, 30)),
         }
+        values["gain"] = float(draw.choice([-1.0, 57.3]))
+        if kind == "sensor-swapped":
+            values["other"] = str(draw.choice([each for each in MEASURED if each != channel]))
         if draw.random() < 0.5 or kind == "frames-forged":
             values["value"] = float(draw.normal())
         faults.append(values)
@@ -99,6 +110,12 @@ def test_any_list_of_faults(seed, tmp_path):
     assert np.isfinite(
         compared(tmp_path, "noisy" if seed % 2 else "ideal", *drawn(seed)).fault_estimate
     ).all()
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_any_list_of_faults_beside_a_controller_that_hears_the_further_sensors(seed, tmp_path):
+    hears = ["controller.kind=tests.rig.nodes.hearing:Hearing", "sensor.1.period_s=0.003"]
+    compared(tmp_path, "cluster", *drawn(seed, sensed=True), *hears, "sensor.2.delay_s=0.004")
 
 
 @pytest.mark.parametrize(
@@ -140,9 +157,10 @@ def test_lags_limits_and_a_real_sensor(kind, tmp_path):
     assert np.abs(trace.measured - trace.measurement).max() > 0.01  # the sensor is not perfect
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", sorted({*KINDS} - {*OF_FURTHER_SENSORS}))
 def test_every_kind_of_fault_changes_the_run(kind):
     needed = ["fault.value=0.5", "fault.offset=1", "fault.drift_per_s=9", "fault.amplitude=1"]
+    needed += ["fault.gain=-1"]
     settings = ["duration_s=0.1", "reference.kind=sine", "fault.rate_per_s=1", *needed]
     settings += ["fault.for_s=0.02"] if kind == RESTARTED else []
     scenario = load("ideal", [*settings, f"fault.kind={kind}", "fault.at_s=0.05"])

@@ -158,6 +158,8 @@ FAULTS = [
     ({"kind": "sensor-drift", "drift_per_s": 0.2}, lambda y, k: y + 0.2 * (k - 200) * TICK_S),
     ({"kind": "sensor-dead", "left": 0.25}, lambda y, k: 0.25 * y),
     ({"kind": "sensor-stuck", "value": -0.1}, lambda y, k: -0.1),
+    ({"kind": "sensor-scaled", "gain": -1.0}, lambda y, k: -y),
+    ({"kind": "sensor-scaled", "gain": 57.3}, lambda y, k: min(57.3 * y, 5.24287)),
 ]
 
 
@@ -172,15 +174,144 @@ def test_a_fault_of_a_further_sensor_changes_its_frames_and_no_other(tmp_path, f
     for (time_s, said), (_, other) in zip(healthy["YAW_RATE"], found["YAW_RATE"], strict=True):
         tick = round(time_s / TICK_S)
         wanted = expected(said["YawRate"], tick) if 200 <= tick < 300 else said["YawRate"]
-        assert other["YawRate"] == pytest.approx(wanted, abs=1.1e-5)
+        assert other["YawRate"] == pytest.approx(wanted, abs=1.1e-5, rel=1e-3)
     for name in healthy.keys() - {"YAW_RATE"}:
         assert found[name] == healthy[name]
 
 
+EVERY = [
+    {"measures": "yaw-rate", "period_s": 0.01, "phase_s": 0.001, "corner_hz": 0.0, **CALM},
+    {"measures": "steering-angle", "period_s": 0.001, "delay_s": 0.002, **CALM},
+    {"measures": "torque-echo", "period_s": 0.001, **CALM},
+]
+YAW = cantools.database.load_file(shipped_dbc("steer_by_wire.dbc")).get_message_by_name("YAW_RATE")
+
+
+def with_fault(tmp_path, *faults, **more):
+    """The same bytes in one process and in two; the frames with the faults, and without."""
+    several = [{"at_s": 0.2, "for_s": 0.1, **each} for each in faults]
+    chosen = scenario(sensor=EVERY, duration_s=0.4, fault=several, **more)
+    one = run(chosen, tmp_path / "one")
+    assert run(chosen, tmp_path / "two", runner=two_processes).read_bytes() == one.read_bytes()
+    healthy = scenario(sensor=EVERY, duration_s=0.4, fault=[], **more)
+    return one, frames(run(healthy, tmp_path / "healthy"))
+
+
+def yaw(log):
+    """The frames of the yaw rate by their tick: bytes."""
+    found = {}
+    for message in can.LogReader(log):
+        if message.arbitration_id == YAW.frame_id:
+            found.setdefault(round(message.timestamp / TICK_S), []).append(bytes(message.data))
+    return found
+
+
+def test_an_echo_that_lies_says_the_command_while_the_motor_is_dead(tmp_path):
+    dead, lying = {"kind": "actuator-dead"}, {"kind": "sensor-lying", "channel": "torque-echo"}
+    log, _ = with_fault(tmp_path, {**dead, "for_s": None}, lying)
+    found = frames(log)
+    sent = [said["SteerTorque"] for _, said in found["STEER_TORQUE_CMD"]]
+    echo = [said["AppliedTorque"] for _, said in found["STEER_TORQUE_ECHO"]]
+    for tick in range(200, 300):
+        assert echo[tick] == pytest.approx(sent[tick - 2], abs=0.051)  # a tick of latency
+    assert max(map(abs, sent[250:])) > 1.0
+    assert max(map(abs, echo[350:])) < 0.1  # tells the truth again
+
+
+def test_a_frame_whose_validity_is_withdrawn_carries_its_value_and_the_column_is_empty(tmp_path):
+    log, healthy = with_fault(tmp_path, {"kind": "sensor-invalid", "channel": "yaw-rate"})
+    found = frames(log)["YAW_RATE"]
+    assert [said["YawRate"] for _, said in found] == [
+        said["YawRate"] for _, said in healthy["YAW_RATE"]
+    ]
+    hit = [200 <= said["Tick"] < 300 for _, said in found]
+    assert [not said["Valid"] for _, said in found] == hit
+    with (log.parent / "signals.csv").open(encoding="utf-8") as file:
+        cells = [row["measured_yaw_rate_rad_per_s"] for row in csv.DictReader(file)]
+    assert [cells[said["Tick"]] == "" for _, said in found] == hit
+
+
+def test_the_tick_of_a_sample_stands_still_while_its_value_goes_on(tmp_path):
+    fault = {"kind": "sensor-tick-stuck", "channel": "steering-angle"}
+    log, healthy = with_fault(tmp_path, fault)
+    pairs = zip(frames(log)["STEERING_ANGLE"], healthy["STEERING_ANGLE"], strict=True)
+    for tick, ((_, said), (_, other)) in enumerate(pairs):
+        stands = 199 if 200 <= tick < 300 else tick
+        assert said["SampleTick"] == (stands - 2) % 4096
+        assert said["SteeringAngle"] == other["SteeringAngle"]
+
+
+def test_each_of_two_swapped_sensors_says_what_the_other_reads(tmp_path):
+    fault = {"kind": "sensor-swapped", "channel": "yaw-rate", "other": "steering-angle"}
+    log, healthy = with_fault(tmp_path, fault)
+    found = frames(log)
+    angles = [said["SteeringAngle"] for _, said in healthy["STEERING_ANGLE"]]
+    for (_, said), (_, other) in zip(found["YAW_RATE"], healthy["YAW_RATE"], strict=True):
+        tick = said["Tick"]
+        swapped = 200 <= tick < 300
+        # the angle has waited two ticks for its frame, and the yaw rate none
+        assert said["YawRate"] == (angles[tick + 2] if swapped else other["YawRate"])
+        if swapped:
+            delayed = found["STEERING_ANGLE"][tick + 2][1]["SteeringAngle"]
+            assert delayed == other["YawRate"]
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        ({"kind": "frames-missing"}, lambda sent, k: []),
+        ({"kind": "frames-repeated"}, lambda sent, k: sent[191] if k % 10 == 1 else []),
+        ({"kind": "frames-late", "late_ticks": 3}, lambda sent, k: sent.get(k - 3, [])),
+    ],
+    ids=lambda each: str(each)[10:24],
+)
+def test_a_fault_of_a_sensor_s_frames_leaves_all_other_frames(tmp_path, fault, expected):
+    log, _ = with_fault(tmp_path, {"channel": "yaw-rate", **fault})
+    sent, found = yaw(tmp_path / "healthy" / "bus.log"), yaw(log)
+    for tick in range(400):
+        whole = sent.get(tick, [])
+        wanted = expected(sent, tick) if 200 <= tick < 300 else whole
+        assert found.get(tick, []) == wanted, tick
+    others = [each["Tick"] for each in (said for _, said in frames(log)["STEERING_ANGLE"])]
+    assert others == list(range(400))
+
+
+def test_a_forged_frame_precedes_the_real_one_and_is_heard_in_its_place(tmp_path):
+    fault = {"kind": "frames-forged", "channel": "yaw-rate", "value": 0.5}
+    log, healthy = with_fault(tmp_path, fault)
+    sent, found = yaw(tmp_path / "healthy" / "bus.log"), yaw(log)
+    for tick, whole in sent.items():
+        *forged, real = found[tick]
+        assert [real] == whole and len(forged) == (200 <= tick < 300)
+        for each in map(YAW.decode, forged):
+            assert (each["YawRate"], each["SampleTick"], each["Tick"]) == (0.5, tick, tick)
+    with (log.parent / "signals.csv").open(encoding="utf-8") as file:
+        cells = [row["measured_yaw_rate_rad_per_s"] for row in csv.DictReader(file)]
+    assert {cells[tick] for tick in range(201, 300, 10)} == {"0.5"}
+    assert (
+        cells[301]
+        == f"{next(s['YawRate'] for _, s in healthy['YAW_RATE'] if s['Tick'] == 301):.10g}"
+    )
+
+
 BAD_FAULTS = [
+    ({"kind": "sensor-scaled", "channel": "yaw-rate"}, "fault.gain: must be set"),
+    ({"kind": "sensor-lying", "channel": "yaw-rate"}, "fault.channel = 'yaw-rate': must be torque"),
+    ({"kind": "sensor-invalid"}, "fault.channel = 'torque': must be yaw-rate or"),
+    ({"kind": "sensor-tick-stuck", "channel": "sensor"}, "fault.channel = 'sensor': must be yaw"),
+    ({"kind": "sensor-swapped", "channel": "yaw-rate"}, "fault.other = None: must be another"),
+    (
+        {"kind": "sensor-swapped", "channel": "yaw-rate", "other": "yaw-rate"},
+        "fault.other = 'yaw-rate': must be another sensor than the channel",
+    ),
+    (
+        {"kind": "sensor-swapped", "channel": "yaw-rate", "other": "force-difference-echo"},
+        "fault.other = 'force-difference-echo': must be a sensor of the scenario",
+    ),
+    ({"kind": "sensor-dead", "other": "yaw-rate"}, "fault.other = 'yaw-rate': must be left out"),
     ({"kind": "sensor-dead", "channel": "force-difference-echo"}, "fault.channel = 'force-diff"),
     ({"kind": "actuator-dead", "channel": "yaw-rate"}, "fault.channel = 'yaw-rate': must be one"),
-    ({"kind": "frames-missing", "channel": "yaw-rate"}, "fault.channel = 'yaw-rate': must be one"),
+    ({"kind": "frames-late", "channel": "force-difference-echo"}, "must be a sensor of the scen"),
     ({"kind": "sensor-biased", "channel": "yaw-rate"}, "fault.offset: must be set"),
 ]
 
