@@ -14,6 +14,7 @@ from firmware_model.law.fault_decision.lost_commands import act_first
 from firmware_model.law.filters import biquad
 from firmware_model.law.layout import State, Table, precision_of
 from firmware_model.law.structs import RecordArray, record_type
+from firmware_model.law.takeover import AT_REST, UNKNOWN
 
 
 class Answer(NamedTuple):
@@ -92,6 +93,7 @@ class Firmware:
         self._tables = np.zeros(1, table.dtype)
         self._tables[0] = table
         self._states = law.init(self._tables[0])
+        self._first = self._states.view(np.uint8).copy()
         self._step = law.step_of(self._tables, self._states)
         self._motions = np.zeros(1, record_type(biquad.State, precision_of(table)))
         self._change_speed: ChangeSpeed | None = None
@@ -109,10 +111,13 @@ class Firmware:
             float(command_1), float(command_2), float(estimate), mode, fault_state, verdict
         )
 
-    def begin(self) -> None:
-        """Start as after power-up: a plant that moves is taken over; see ``law.takeover``."""
-        self._states.view(np.uint8)[...] = self._law.init(self._tables[0]).view(np.uint8)
-        self._states[0].takeover.pending = True
+    def begin(self, at_rest: bool = False) -> None:
+        """Start as after power-up: a plant that moves is taken over; see ``law.takeover``.
+
+        ``at_rest``: whether the actuators are known to be at rest.
+        """
+        self._states.view(np.uint8)[...] = self._first
+        self._states[0].takeover.pending = AT_REST if at_rest else UNKNOWN
 
     def reset(self, reference: float) -> None:
         """Start from the settled healthy loop at ``reference``; see ``controller.reset``."""

@@ -49,9 +49,9 @@ class OurLaw:
         """See ``NodeController``."""
         return self.firmware.commands
 
-    def take_over(self, inputs: Inputs) -> None:
+    def take_over(self, inputs: Inputs, at_rest: bool) -> None:
         """See ``NodeController``."""
-        self.firmware.begin()
+        self.firmware.begin(at_rest)
 
 
 def in_node(law: Law, without_frames: bool = False) -> InNode:

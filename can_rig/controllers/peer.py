@@ -112,7 +112,7 @@ class Peer:
         if self._act is not None:
             self._call("act", self._act, command_1, command_2)
 
-    def take_over(self, inputs: Inputs) -> None:
+    def take_over(self, inputs: Inputs, at_rest: bool) -> None:
         """See ``NodeController``."""
         self._speed = inputs.speed_mps
         self.reset(inputs.measurement)

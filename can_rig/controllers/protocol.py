@@ -110,8 +110,13 @@ class NodeController(Protocol):
     def act(self, command_1: float, command_2: float) -> None:
         """The commands that act from the next ``step`` on, after a loss of the sent commands."""
 
-    def take_over(self, inputs: Inputs) -> None:
-        """Begin while the plant moves, with actuators at rest; ``inputs`` are those last heard."""
+    def take_over(self, inputs: Inputs, at_rest: bool) -> None:
+        """Begin while the plant moves.
+
+        Args:
+            inputs: the last heard.
+            at_rest: whether the actuators have let go of earlier commands.
+        """
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ from firmware_model.analysis.simulation import LoopPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law import controller
 from firmware_model.law.structs import FloatArray, RecordArray
+from firmware_model.law.takeover import UNKNOWN
 
 
 @dataclass(frozen=True)
@@ -254,7 +255,7 @@ def simulation(
 def powered_up(of: Scheduled) -> RecordArray:
     """The state of a controller after power-up: the plant may move already."""
     state = controller.init(of.table)
-    state["takeover"]["pending"] = 1
+    state["takeover"]["pending"] = UNKNOWN
     return state
 
 

@@ -97,6 +97,8 @@ from firmware_model.law.reference_shaper import start, tracked_reference
 from firmware_model.law.status import Mode
 from firmware_model.law.structs import RecordArray
 from firmware_model.law.takeover import (
+    BEGUN,
+    UNKNOWN,
     advance_motion,
     begin_takeover,
     doubt,
@@ -104,7 +106,6 @@ from firmware_model.law.takeover import (
     led_reference,
     listens,
     show_motion,
-    take_for_motion,
     wanted_level,
 )
 
@@ -147,13 +148,13 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
     told = math.isfinite(r)
     frozen = state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement
     measured = math.isfinite(y) and not frozen
-    predicts = table.prediction.enabled and not state.takeover.pending
+    predicts = table.prediction.enabled == 1 and state.takeover.pending == BEGUN
     if stops(table, state, told and measured):
         take_commands_back(table, state)
         go_on(table, state)
         state.mode = MODE_SAFE_STOP
     elif told and (measured or predicts):
-        if state.takeover.pending:
+        if state.takeover.pending != BEGUN:
             take_over(table, state, r, y)
         compute(table, state, r, y, measured)
     else:
@@ -169,10 +170,12 @@ def take_over(table: Table, state: State, r: float, y: float) -> None:
     )
     difference = y - predicted(table, state, model_1 + model_2)
     if table.takeover.enabled and abs(difference) > table.takeover.least:
-        level = wanted_level(r, y)
+        level = real(0.0, y)
+        if state.takeover.pending == UNKNOWN:
+            level = wanted_level(r, y)
         reset(table, state, level)
-        begin_takeover(state.takeover, level)
-    state.takeover.pending = 0
+        begin_takeover(table.estimator.channel_1, state.takeover, level, y - level)
+    state.takeover.pending = BEGUN
 
 
 @firmware
@@ -202,8 +205,6 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     error = wanted + table.tracking.feedback * model_1
     track(table.tracking, state.tracking, error, state.command_1)
     known = model_1 + model_2 - take_measurement(estimator, state.estimator, y)
-    if listening:
-        known = take_for_motion(state.takeover, known)
 
     # Without feedthrough of u2 the sum is the residual; with feedthrough u2 of this tick is
     # missing.
@@ -241,12 +242,14 @@ def asked_force(table: Table, state: State, r: float, known: float) -> tuple[flo
     made_up = make_up(table.shortfall_2, estimator.channel_2, table.actuator_2, state.shortfall_2)
     if compensator.on_confirmation > 0:  # u2 = r2 + F̂ s w, with the w of this tick's command
         drive = transfer(state.bumpless_transfer, compensated_output(table, state))
-        return force + compensator.feedthrough * drive, made_up, drive
-    # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
-    estimate = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
-    estimate += estimator.one_plus_q_feedthrough * known
-    force = (force + compensator.feedthrough * estimate) * compensator.loop_inverse
-    return force, made_up * compensator.loop_inverse, zero
+        force = force + compensator.feedthrough * drive
+    else:  # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
+        estimate = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
+        estimate += estimator.one_plus_q_feedthrough * known
+        force = (force + compensator.feedthrough * estimate) * compensator.loop_inverse
+        made_up = made_up * compensator.loop_inverse
+        drive = zero
+    return force, made_up, drive
 
 
 @firmware
@@ -262,17 +265,20 @@ def forget(table: Table, state: State, held_1: float, held_2: float) -> None:
 def measurement_or_prediction(
     table: Table, state: State, y: float, measured: bool, model_output: float
 ) -> float:
-    """Return y where ``measured``, otherwise what stands in for y."""
+    """Return y less the motion of a takeover where ``measured``, otherwise what stands in for y."""
     own, constants = state.prediction, table.prediction
     lost = known_share(state) * loss_shown(table, state)
     expected = predicted(table, state, model_output - lost)
     if measured:
         state.measurement = y
-        y = y - state.takeover.shown
+    y = y - state.takeover.shown
+    if measured and listens(table.takeover, state.takeover):
+        state.takeover.error = y - expected
+    elif measured:
         note_measurement(constants, own, y, expected)
         return y
-    if math.isfinite(y):
-        distrust(own, y - state.takeover.shown, expected)
+    elif math.isfinite(y):
+        distrust(own, y, expected)
     stood_in: float = stand_in(constants, own, expected)
     return stood_in
 
@@ -350,7 +356,7 @@ def reset(table: Table, state: State, reference: float) -> None:
     release(state.bumpless_transfer)
     clear_prediction(state.prediction)
     end_takeover(state.takeover)
-    state.takeover.pending = 0
+    state.takeover.pending = BEGUN
     state.mode = MODE_INIT
 
 

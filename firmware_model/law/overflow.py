@@ -20,7 +20,7 @@ from firmware_model.law.filters.shortfall import make_up
 from firmware_model.law.filters.tracking import missing_output
 from firmware_model.law.precision import real
 from firmware_model.law.reference_shaper import start
-from firmware_model.law.takeover import end_takeover
+from firmware_model.law.takeover import UNKNOWN, end_takeover
 
 if TYPE_CHECKING:
     from firmware_model.law.layout import State, Table
@@ -78,5 +78,5 @@ def clear_models(state: State) -> None:
     clear_loss_model(state)
     clear_other_cars(state)
     release(state.bumpless_transfer)
-    state.takeover.pending = 1
+    state.takeover.pending = UNKNOWN
     state.fault_state = CLEAR

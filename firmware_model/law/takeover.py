@@ -5,10 +5,12 @@ plant was driven before, or still is. C would answer the difference with a jump,
 would take the difference for a fault. So the law begins
 
 1. in the settled state for ``level``, the part of y that the reference wants too: an actuator that
-   still holds its command gets about the same command;
+   still holds its command gets about the same command. Where the actuators are known to be at rest,
+   ``level`` is zero;
 2. with an observer of the remaining motion m = y - G1 u1 - G2 u2. m is a free response of G1, since
    no command of this controller causes m. The observer corrects m while ``listening``, and predicts
-   m from then on. C and F1 work on y - m, and the decision waits for the end of the correction;
+   m from then on. C and F1 work on y - m afterwards; until then the prediction stands in for
+   y - m, C is a feedforward, and the decision waits;
 3. with a reference that leads from the motion to r:
 
        w (r - m) + (1 - w) level,   w = s³ (10 - 15 s + 6 s²),   s = elapsed/returning
@@ -24,9 +26,12 @@ from typing import Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.filters import biquad
-from firmware_model.law.filters.biquad import advance, output
+from firmware_model.law.filters.biquad import advance, output, settle
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Struct
+
+BEGUN, UNKNOWN, AT_REST = 0, 1, 2
+"""Values of ``pending``: begun already; the plant may move; likewise, with actuators at rest."""
 
 
 class Constants(Struct):
@@ -46,7 +51,7 @@ class State(Struct):
     """State."""
 
     motion: Annotated[biquad.State, "y", "state of G1 for m"]
-    pending: Annotated[int, "1", "1: the plant may move; the first tick with both inputs shows it"]
+    pending: Annotated[int, "1", "how the first tick with both inputs begins"]
     active: Annotated[int, "1", "1: the takeover has not ended"]
     level: Annotated[float, "y", "output of the settled state at the begin"]
     shown: Annotated[float, "y", "m of this tick"]
@@ -65,10 +70,18 @@ def wanted_level(reference: float, y: float) -> float:
 
 
 @firmware
-def begin_takeover(own: State, level: float) -> None:
-    """The law is in the settled state for ``level``."""
+def begin_takeover(g1: biquad.Constants, own: State, level: float, remaining: float) -> None:
+    """Begin with the law in the settled state for ``level``; ``remaining``: y less ``level``.
+
+    At first m is the motion of a plant that was held at ``remaining`` until now.
+    """
     own.active = 1
     own.level = level
+    held = settle(g1, own.motion, real(1.0, level))
+    share = remaining / held if held != 0.0 else real(0.0, level)
+    for i in range(g1.n):
+        for j in range(2):
+            own.motion.accumulators[i, j] *= share
 
 
 @firmware
@@ -97,13 +110,6 @@ def listens(constants: Constants, own: State) -> bool:
     """Whether the observer still corrects m."""
     listening: bool = own.active == 1 and own.elapsed < constants.listening
     return listening
-
-
-@firmware
-def take_for_motion(own: State, residual: float) -> float:
-    """The plant's motion explains the ``residual``, G1 u1 + G2 u2 + m - y: nothing is left."""
-    own.error = -residual
-    return real(0.0, residual)
 
 
 @firmware

@@ -124,6 +124,9 @@ class RealTimeControllerNode:
         self._actuators = (Actuator(hold_ticks), Actuator(hold_ticks))  # as the car's should be
         # By tick, modulo; None: F1 has it already.
         self._sent: list[Sent | None] = [None] * self._latency_ticks
+        self._listen_ticks = max(round(LISTEN_S / scenario.tick_s), FEWEST_SAMPLES)
+        held_ticks = hold_ticks + scenario.latency_ticks
+        self._let_go = held_ticks < self._listen_ticks  # the actuators, after listening
         self._most_missed = hold_ticks + round(LISTEN_S / scenario.tick_s)
         self._missed = self._too_late = 0  # in a row: samples, commands
         self._tick = 0  # the next one
@@ -132,7 +135,6 @@ class RealTimeControllerNode:
         self._speed_now = Record(math.nan, -1)
         self._offered_s = 0.0  # the last reference's time stamp
         self._command_ids = {network.command_1.frame_id, network.command_2.frame_id}
-        self._listen_ticks = max(round(LISTEN_S / scenario.tick_s), FEWEST_SAMPLES)
         self._listened: list[Inputs] | None = []  # the inputs heard; None: the controller drives
         self._waiting: list[Sample] = []
 
@@ -292,7 +294,7 @@ class RealTimeControllerNode:
             self._begin_restart()
             return
         self._listened = None
-        self._controller.take_over(heard[-1])
+        self._controller.take_over(heard[-1], self._let_go)
         self._sent = [None] * self._latency_ticks
         for actuator, command in zip(self._actuators, self._controller.commands, strict=True):
             actuator.hear(command)
