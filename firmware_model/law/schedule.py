@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
+from firmware_model.law.standby import note_speed
 from firmware_model.law.structs import MAX_SECTIONS, FloatArray, RecordArray, Struct
 
 if TYPE_CHECKING:
@@ -91,8 +92,8 @@ def change_speed(
 ) -> None:
     """Blend ``table`` for ``speed`` and carry the states of the models over.
 
-    A speed beyond the designs counts as the nearest design's speed; a speed that is not a number
-    changes no value.
+    A speed beyond the designs counts as the nearest design's speed, and below the lowest design the
+    controller stands by; a speed that is not a number changes no value.
 
     Args:
         schedule: constants of this module.
@@ -104,6 +105,7 @@ def change_speed(
     v = real(speed, own.place)
     if not math.isfinite(v):
         return
+    note_speed(state.standby, v, schedule.speed[0])
     place = place_of(schedule, v)
     if place == own.place:
         return
