@@ -305,6 +305,7 @@ def reset(table: Table, state: State, reference: float) -> None:
     start_candidate(table, state)
     clear_hypotheses(state)
     state.safe_stop.elapsed = state.standby.elapsed = 0.0
+    state.standby.slow = 0
     state.shortfall_1.accumulators[:] = 0.0
     state.shortfall_2.accumulators[:] = 0.0
     release(state.bumpless_transfer)

@@ -1,8 +1,7 @@
 """The car is slower than the lowest design: the controller stands by.
 
 A torque hardly moves D* of a slow car, and no model holds there. Both commands go to zero in a
-straight line; the decision waits, and what it has found stays. The band of a twentieth between
-entering and leaving keeps a car at the lowest speed from doing both in turn.
+straight line; the decision waits, and what it has found stays.
 
 The tick that leaves begins from what the car does: every model of the car is in the steady state
 that has D* as measured, as the car is that was turned by its driver. C is in the steady state that
@@ -34,9 +33,6 @@ if TYPE_CHECKING:
     from firmware_model.law.layout import Table
 
 
-BAND = 0.95
-
-
 class State(Struct):
     """State."""
 
@@ -45,21 +41,10 @@ class State(Struct):
 
 
 @firmware
-def note_speed(own: State, speed: float, lowest: float) -> None:
-    """Find out whether a car of this ``speed`` is slower than the ``lowest`` design, m/s."""
-    enters = real(BAND, lowest) * lowest
-    if speed < enters or (own.slow > 0 and speed < lowest):
-        own.slow = 1
-    else:
-        own.slow = 0
-
-
-@firmware
 def stands_by(table: Table, own: State, complete: bool) -> bool:
     """Whether the controller stands by; ``complete``: a tick with both inputs."""
-    under_way: bool = 0.0 < own.elapsed < table.prediction.longest
-    waits: bool = own.elapsed > 0.0 and not complete
-    return own.slow > 0 or under_way or waits
+    waits: bool = not complete or own.elapsed < table.prediction.longest
+    return own.slow > 0 or (own.elapsed > 0.0 and waits)
 
 
 @firmware

@@ -57,6 +57,7 @@ def used(table: Any, seed: int = 1) -> Any:
 
     fill(State, state)
     state.fault_state, state.mode = FaultState.CONFIRMED, Mode.RUN
+    state.standby.slow, state.standby.elapsed = 0, 0.0
     return state
 
 
