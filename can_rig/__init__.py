@@ -8,30 +8,42 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from can_rig.api import (
+        Campaign,
         Comparison,
         RecordedRun,
         ReplayedDrive,
+        campaign,
         check,
         compare,
         decode,
+        diff,
         load,
         load_scenario,
+        plot,
         replay,
         run,
+        save_scenario,
+        stats,
         tune,
     )
 
 __all__ = [
+    "Campaign",
     "Comparison",
     "RecordedRun",
     "ReplayedDrive",
+    "campaign",
     "check",
     "compare",
     "decode",
+    "diff",
     "load",
     "load_scenario",
+    "plot",
     "replay",
     "run",
+    "save_scenario",
+    "stats",
     "tune",
 ]
 

@@ -6,7 +6,8 @@
     run.save("runs/early-loss")
 
 A scenario is the name of a shipped one, a TOML file, or a ``Scenario``; changes are a mapping of
-its keys, as ``--set`` of the command line has them. Bad input raises a
+its keys, as ``--set`` of the command line has them, to values or to objects of Python: arrays,
+linear systems, filters, classes, functions (``scenario.from_python``). Bad input raises a
 ``can_rig.errors.RigError`` with one line.
 
 The package imports every room below; only commands may import it.
@@ -15,44 +16,67 @@ The package imports every room below; only commands may import it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+import tomli_w
+
 from can_rig.assessment import resolve
-from can_rig.assessment.speeds import DriveCheck
+from can_rig.assessment.frame_length import FrameError
 from can_rig.assessment.speeds import check as check_speeds
 from can_rig.assessment.stability import StabilityCheck
 from can_rig.assessment.tuning.candidate import cars_of
 from can_rig.assessment.tuning.search import Tunings
 from can_rig.assessment.tuning.search import tune as search
+from can_rig.campaigns.execution import execute, open_folder
+from can_rig.campaigns.plan import plan
+from can_rig.campaigns.report import write_report
+from can_rig.campaigns.settings import read_campaign
+from can_rig.campaigns.statistics import Summary
+from can_rig.campaigns.workers import in_processes, serially
 from can_rig.decoding.decode import decode_log
-from can_rig.errors import RigError, ScenarioError, in_python
+from can_rig.errors import LogError, RigError, ScenarioError, in_python
+from can_rig.files import atomic
 from can_rig.logs.frames import window_of
 from can_rig.logs.reading import read_log
 from can_rig.replaying.estimator import Replayed, replay_drive, write
 from can_rig.results.source import Source, log_path
-from can_rig.scenario.loading import Changes, as_settings
+from can_rig.scenario.from_python import kind_of, settings_of
+from can_rig.scenario.loading import Changes, written_by
 from can_rig.scenario.settings import Scenario
 from can_rig.views.controllers_compared import CASES, Comparison
 from can_rig.views.controllers_compared import compare as compare_controllers
+from can_rig.views.diff import Difference
+from can_rig.views.diff import compare as difference_of
+from can_rig.views.log_statistics import LogStatistics
 from can_rig.views.recorded_run import RecordedRun, record
+from can_rig.views.signal_table import SignalTable, read_table
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 __all__ = [
+    "Campaign",
     "Comparison",
     "RecordedRun",
     "ReplayedDrive",
     "Scenario",
+    "campaign",
     "check",
     "compare",
     "decode",
+    "diff",
     "load",
     "load_scenario",
+    "plot",
     "replay",
     "run",
+    "save_scenario",
+    "stats",
     "tune",
 ]
 
@@ -70,12 +94,36 @@ def load_scenario(
     Raises:
         ScenarioError: no such scenario, an unknown key, a bad value.
     """
-    settings = as_settings({} if changes is None else changes)
+    return _scenario(name, settings_of(changes))
+
+
+def _scenario(name: str | Path | Scenario, settings: Sequence[str]) -> Scenario:
     if not isinstance(name, str | Path | Scenario):
         raise ScenarioError(f"scenario {name!r}: must be a name, a path or a Scenario")
     if isinstance(name, Scenario):
         return resolve.load_run(name.as_dict(), settings) if settings else name
     return resolve.load(str(name), settings)
+
+
+@in_python
+def save_scenario(scenario: Scenario, path: str | Path, *, force: bool = False) -> Path:
+    """Write a scenario as TOML, without defaults; returns the path.
+
+    Args:
+        scenario: of ``load_scenario`` or of a run.
+        path: where; the file's name is the scenario's name from then on.
+        force: replace an existing file.
+
+    Raises:
+        ScenarioError: not a scenario, or one that no file gives.
+        LogError: the file exists, or cannot be written.
+    """
+    if not isinstance(scenario, Scenario):
+        raise ScenarioError(f"scenario = {scenario!r}: must be a Scenario")
+    text = tomli_w.dumps(written_by(scenario))
+    with atomic(_path("path", path), force=force) as part:
+        part.write_text(text, "utf-8")
+    return Path(path)
 
 
 @in_python
@@ -116,11 +164,11 @@ def load(folder: str | Path) -> RecordedRun:
 @in_python
 def check(
     name: str | Path | Scenario = "default", changes: Changes | None = None
-) -> StabilityCheck | DriveCheck:
+) -> StabilityCheck:
     """Whether the sampled loop is stable, healthy and after the fault, and by what margin.
 
     The result has ``stable``, ``verdict``, ``healthy`` and ``faulted``; ``as_dict()`` has every
-    figure.
+    figure. Of a drive, ``healthy`` and ``faulted`` are the margins at the fastest speed.
 
     Raises:
         ScenarioError: as ``load_scenario``, or no such design.
@@ -130,8 +178,8 @@ def check(
 
 @in_python
 def compare(
-    controllers: Sequence[str],
-    name: str | Path = "default",
+    controllers: Sequence[object],
+    name: str | Path | Scenario = "default",
     changes: Changes | None = None,
     *,
     cases: Mapping[str, Changes] | str = "faults",
@@ -141,8 +189,9 @@ def compare(
     The result has ``rows``, a ``table`` of pandas, and ``draw(path)``.
 
     Args:
-        controllers: each a ``controller.kind``, or a TOML file with a ``[controller]``.
-        name: of a shipped scenario, or a path to a TOML file.
+        controllers: each a ``controller.kind``, a class or function, or a TOML file with a
+            ``[controller]``.
+        name: see ``load_scenario``.
         changes: of every run; see ``load_scenario``.
         cases: changes by name, or a group: ``faults``, ``weather`` or ``cars``.
 
@@ -153,8 +202,143 @@ def compare(
         if cases not in CASES:
             raise ScenarioError(f"cases = {cases!r}: must be {', '.join(CASES)}, or a mapping")
         cases = CASES[cases]
-    settings = as_settings({} if changes is None else changes)
-    return compare_controllers(controllers, str(name), cases, settings)
+    settings = settings_of(changes)
+    kinds = [kind_of("controllers", each) for each in controllers]
+    return compare_controllers(kinds, lambda own: _scenario(name, [*settings, *own]), cases)
+
+
+@in_python
+def diff(
+    a: RecordedRun | str | Path,
+    b: RecordedRun | str | Path,
+    *,
+    tolerances: Mapping[str, float] | None = None,
+) -> Difference:
+    """Two runs compared signal by signal, in the rows of the same time.
+
+    Args:
+        a: a run, its folder, or a ``signals.csv``.
+        b: likewise.
+        tolerances: largest difference that counts as none, by signal and in its unit.
+
+    Raises:
+        LogError: no such run, no row of the same time, or a tolerance of no signal.
+    """
+    return difference_of(_table(a), _table(b), tolerances or {})
+
+
+@in_python
+def plot(runs: Mapping[str, RecordedRun | str | Path], signals: Sequence[str]) -> Figure:
+    """Several runs in one picture: a panel for each signal, a curve for each run.
+
+    Args:
+        runs: runs or folders, by the names of their curves.
+        signals: columns of ``signals.csv``.
+
+    Raises:
+        LogError: no such run, or a signal that a run lacks.
+    """
+    from can_rig.views.pictures import overlay  # noqa: PLC0415 (matplotlib)
+
+    if not runs or not signals or isinstance(signals, str):
+        raise LogError("plot: must have a run at least, and a list of signals")
+    return overlay({name: _table(run) for name, run in runs.items()}, signals)
+
+
+def _table(run: RecordedRun | str | Path) -> SignalTable:
+    if isinstance(run, RecordedRun):
+        return run.table
+    return read_table(_path("run", run), resolve.load("default"))
+
+
+@in_python
+def stats(
+    log: str | Path, *, bitrate: int = 500_000, data_bitrate: int = 2_000_000
+) -> LogStatistics:
+    """What is in a log: ``frames``, ``span_s``, ``identifiers`` with their rates, ``load(bus)``.
+
+    Args:
+        log: of any format that ``can-rig decode`` reads, or a run folder.
+        bitrate: of the buses, in bit/s.
+        data_bitrate: of CAN FD's data phase, in bit/s.
+
+    Raises:
+        LogError: the log cannot be read.
+        RigError: impossible bit rates.
+    """
+    try:
+        statistics = LogStatistics(bitrate, data_bitrate)
+    except FrameError as error:
+        raise RigError(str(error)) from None
+    for frames in read_log(log_path(_path("log", log))):
+        statistics.add(frames)
+    statistics.finish()
+    return statistics
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A finished campaign.
+
+    Attributes:
+        summary: pass rates, spreads, the worst runs and the tables, as ``summary.json`` has them.
+        runs: a row for each run: what tells the run apart, the metrics, the requirements.
+    """
+
+    summary: Summary
+    runs: pd.DataFrame
+
+
+@in_python
+def campaign(
+    name: str | Path,
+    changes: Changes | None = None,
+    *,
+    scenario: str | Path | None = None,
+    runs: int | None = None,
+    seed: int | None = None,
+    search: str | None = None,
+    workers: int = 1,
+    folder: str | Path | None = None,
+    force: bool = False,
+) -> Campaign:
+    """Thousands of runs of one scenario, in this process or in several.
+
+    Args:
+        name: of a shipped campaign, or a path to a TOML file.
+        changes: of the scenario in every run; see ``load_scenario``.
+        scenario: in place of the campaign's own; a shipped one or a path.
+        runs: in place of the campaign's own number.
+        seed: in place of the campaign's own.
+        search: a requirement whose worst runs are looked for.
+        workers: processes; a script with more than one needs ``if __name__ == "__main__":``.
+        folder: for table and report; None: nothing is left on disk.
+        force: replace an existing folder of a campaign.
+
+    Raises:
+        ScenarioError: no such campaign or scenario, an unknown key, a bad value.
+        RunFolderError: the folder already exists, or cannot be written.
+    """
+    import pandas as pd  # noqa: PLC0415 (slow to import)
+
+    scenarios = None if scenario is None else [str(_path("scenario", scenario))]
+    keys = {"scenario": scenarios, "runs": runs, "seed": seed, "search": search}
+    planned = plan(read_campaign(str(_path("name", name)), settings_of(changes), **keys))
+    with TemporaryDirectory(prefix="can-rig-") as temporary:
+        where = Path(temporary) / "campaign" if folder is None else _path("folder", folder)
+        made = open_folder(where, planned, resume=False, force=force)
+        try:
+            compute = serially(planned) if workers == 1 else in_processes(planned, workers)
+            execute(made, compute, lambda: False, lambda done: None)
+            summary = write_report(made)
+            table = pd.read_parquet(made.table)
+            made.made.publish()
+        except BaseException:
+            made.made.give_up()
+            raise
+        finally:
+            made.made.close()
+    return Campaign(summary, table)
 
 
 @in_python

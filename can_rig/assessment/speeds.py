@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from can_rig.assessment.drives import Finding
 from can_rig.assessment.stability import (
     DEAD,
     StabilityCheck,
@@ -28,18 +27,16 @@ from firmware_model.analysis.speed_sweep import SpeedSweep, sweep
 from firmware_model.design.plants import Plant
 
 
-@dataclass(frozen=True)
-class DriveCheck:
-    """Findings of ``check`` for a scenario with a drive.
+@dataclass(frozen=True, repr=False)
+class DriveCheck(StabilityCheck):
+    """Findings of ``check`` for a scenario with a drive, with the margins at the fastest speed.
 
     Attributes:
-        scenario: it.
         ends: the check at the slowest and the fastest speed, by the speed in m/s.
         sweeps: between the ends, by the state of the actuators; empty for a design at a single
             speed.
     """
 
-    scenario: Scenario
     ends: dict[float, StabilityCheck]
     sweeps: dict[str, SpeedSweep]
 
@@ -48,11 +45,6 @@ class DriveCheck:
         """At the ends, with every drive calm, and on the way."""
         checks = all(check.stable for check in self.ends.values())
         return checks and all(found.stable for found in self.sweeps.values())
-
-    @property
-    def findings(self) -> list[Finding]:
-        """Those of both ends."""
-        return [finding for check in self.ends.values() for finding in check.findings]
 
     @property
     def states(self) -> Iterator[tuple[str, Margins]]:
@@ -99,7 +91,7 @@ class DriveCheck:
 
 def check(
     scenario: Scenario, on_car: Callable[[int, int], None] = lambda done, of: None
-) -> StabilityCheck | DriveCheck:
+) -> StabilityCheck:
     """``check_stability``, or the check of a drive.
 
     Raises:
@@ -108,7 +100,9 @@ def check(
     if not scenario.drive.is_given:
         return check_stability(scenario, on_car)
     ends = {end.plant.speed_mps: check_stability(end, on_car) for end in _ends(scenario)}
-    return DriveCheck(scenario, ends, _sweeps(scenario))
+    findings = [finding for end in ends.values() for finding in end.findings]
+    its = vars(ends[max(ends)]) | {"scenario": scenario, "findings": findings}
+    return DriveCheck(**its, ends=ends, sweeps=_sweeps(scenario))
 
 
 def refuse(scenario: Scenario) -> None:

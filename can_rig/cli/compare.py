@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 from click.shell_completion import CompletionItem
 
+from can_rig.assessment.resolve import load
 from can_rig.cli.options import force_option, json_option, set_option
 from can_rig.cli.output import counting, json_line, say, table, wide
 from can_rig.errors import ScenarioError
@@ -66,7 +67,10 @@ def command(
         refuse_picture(out, force)
     cases = _cases(groups, own)
     with counting("compare", "runs", len(cases) * len(controllers)) as on_run:
-        found = compare(controllers, scenario, cases, settings, lambda done, _: on_run(done))
+        found = compare(
+            controllers, lambda own: load(scenario, [*settings, *own]), cases,
+            lambda done, _: on_run(done),
+        )  # fmt: skip
     if out is not None:
         with atomic(out, force=force) as part:
             found.draw(part)

@@ -32,7 +32,7 @@ def class_of(setup: ControllerSetup) -> Callable[[], Any]:
     """
     chosen = setup.scenario.controller
     where = where_of(setup)
-    found = find_class(where, chosen.class_path)
+    found = find_class(where, chosen.class_path, "step")
     name = found.__name__
     require_signature(where, found, name, f"{name}(setup)", setup)
     construct: Callable[..., Any] = found

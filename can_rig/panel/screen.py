@@ -32,8 +32,7 @@ from can_rig.results.run_folder import log_of
 from can_rig.results.signals import read_signals
 from can_rig.results.source import reference_csv, source_of
 from can_rig.scenario.build import network_of
-from can_rig.scenario.fault_settings import FaultSettings
-from can_rig.scenario.loading import written
+from can_rig.scenario.loading import keys_of, written
 from firmware_model.law.structs import FloatArray
 
 LAMPS_EVERY: Final = 6
@@ -308,7 +307,7 @@ def save(session: Session, name: str) -> Path:
     network = network_of(source.scenario)
     what = done(source.scenario, touches(source.frames(), network))
     values = written(session.name).with_changes(session.settings).values
-    values["fault"] = [_keys(fault) for fault in what.scenario.faults]
+    values["fault"] = [keys_of("fault", asdict(fault)) for fault in what.scenario.faults]
     reference = path.with_suffix(".csv")
     if what.moved:
         values["reference"] = {"kind": "csv", "file": reference.name}
@@ -321,10 +320,3 @@ def save(session: Session, name: str) -> Path:
             with part.open("w", encoding="utf-8", newline="\n") as file:
                 file.writelines(reference_csv(moved))
     return path
-
-
-def _keys(fault: FaultSettings) -> dict[str, Any]:
-    """The scenario keys of ``fault``."""
-    usual = asdict(FaultSettings())
-    its = {key: value for key, value in asdict(fault).items() if value != usual[key]}
-    return {"kind": fault.kind, "at_s": fault.at_s, **its}

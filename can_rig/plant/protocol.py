@@ -102,7 +102,7 @@ def load_plant(kind: str, settings: PlantSettings) -> PlantProtocol:
         from can_rig.plant.fmu import load_fmu  # noqa: PLC0415 (FMPy takes a second)
 
         return load_fmu(settings)
-    plant_class = find_class(_where(kind), kind)
+    plant_class = find_class(_where(kind), kind, "advance")
     _try(kind, _construct(kind, plant_class, settings))
     return _construct(kind, plant_class, settings)
 

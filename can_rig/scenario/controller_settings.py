@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, PositiveFloat
 from pydantic.dataclasses import dataclass
 
 from can_rig.scenario.plant_settings import (
@@ -46,12 +46,14 @@ SOS: Final = 6
 class FilterSettings(TransferFunction):
     """A filter in s, discretised by ``rule``, or in z, as its coefficients stand.
 
-    ``sos`` has rows b0, b1, b2, a0, a1, a2 in powers of 1/z, and needs no ``domain``.
+    ``sos`` has rows b0, b1, b2, a0, a1, a2 in powers of 1/z, and needs no ``domain``. ``tick_s``
+    states the tick of coefficients in z; a run with another tick is refused.
     """
 
     sos: tuple[Row, ...] | None = None
     domain: Literal["s", "z"] = "s"
     rule: Rule = "tustin"
+    tick_s: PositiveFloat | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -122,6 +124,13 @@ class ControllerSettings:
             raise ValueError(
                 f"variables: must not be set for kind = {self.kind!r}; only {FMU}FILE.fmu has it"
             )
+
+    def refuse_other_tick(self, tick_s: float) -> None:
+        """Refuse a filter in z of another tick."""
+        for name in FILTER_NAMES:
+            of = getattr(self, name).tick_s
+            if of is not None and abs(of - tick_s) > 1e-9 * tick_s:
+                raise ValueError(f"controller.{name}.tick_s = {of:g}: must be tick_s = {tick_s:g}")
 
     @property
     def is_ours(self) -> bool:

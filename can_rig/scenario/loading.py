@@ -13,7 +13,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -43,7 +43,7 @@ from can_rig.scenario.settings import LISTS, Scenario
 
 FAULT: Final = "fault"
 
-NEW: Final = {
+NEW: Final[dict[str, FaultSettings | DisturbanceSettings | FurtherSensor]] = {
     FAULT: FaultSettings(),
     "disturbance": DisturbanceSettings("none"),
     "sensor": FurtherSensor("yaw-rate"),
@@ -53,8 +53,12 @@ NEW: Final = {
 UNSET: Final = {key for key in NUMBER.values() if getattr(FaultSettings, key) is None}
 """Keys of faults without a default value."""
 
-Changes = Mapping[str, Any]
+Changes = Mapping[str, object]
 """Key → value; keys with dots, or tables within tables."""
+
+
+class Whole(dict[str, Any]):
+    """A table that replaces the whole table of its key."""
 
 
 def change(values: dict[str, Any], setting: str) -> None:
@@ -120,7 +124,7 @@ def as_settings(changes: Changes) -> list[str]:
 def flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Keys with dots, also from tables within tables."""
     for key, value in changes.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and not isinstance(value, Whole):
             yield from flat(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
@@ -172,7 +176,9 @@ def require_kinds(name: str, values: Mapping[str, Any]) -> None:
             )
     reference = values.get("reference")
     if isinstance(reference, Mapping) and "kind" not in reference:
-        for key, kind in (("file", "csv"), ("lane_changes_s", "driver")):
+        for key, kind in (
+            ("file", "csv"), ("lane_changes_s", "driver"), ("samples_mps2", "samples"),
+        ):  # fmt: skip
             if reference.get(key):
                 raise ScenarioError(
                     f"scenario {name}: reference.kind: must be {kind!r} where reference.{key} is"
@@ -363,6 +369,56 @@ def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
     for setting in settings:
         change(changed, setting)
     return draft(str(changed.get("name", "run")), changed)
+
+
+def written_by(scenario: Scenario) -> dict[str, Any]:
+    """The keys of a file that gives ``scenario``: every value that is not the default's.
+
+    Raises:
+        ScenarioError: no file gives the scenario: TOML cannot unset a value of the plant in the
+            model.
+    """
+    values, usual = scenario.as_dict(), Scenario(scenario.name).as_dict()
+    del values["name"]
+    values["model"], usual["model"] = _other_than(values["plant"], values["model"]), {}
+    for name, key, prefix in FILES:
+        file = values[name][key]
+        if file and file.startswith(prefix):
+            values[name][key] = prefix + str(Path(file.removeprefix(prefix)).resolve())
+    lists = {key: values.pop(key) for key in LISTS}
+    for key, given in lists.items():
+        tables = [given] if isinstance(given, dict) else given
+        usual.pop(key)
+        if listed := [keys_of(key, table) for table in tables]:
+            values[key] = listed[0] if len(listed) == 1 else listed
+    found = _other_values(values, usual)
+    if draft(scenario.name, found).scenario != draft(scenario.name, values).scenario:
+        raise ScenarioError(f"scenario {scenario.name}: model: has a lag that no file can unset")
+    return found
+
+
+def keys_of(name: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of a fault, disturbance or sensor: the first, and all with another value than usual.
+
+    Args:
+        name: of the list.
+        table: every key and value.
+    """
+    first = next(iter(table))
+    return {first: table[first], **_other_values(table, asdict(NEW[name]))}
+
+
+def _other_values(values: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:
+    """The values that differ from the usual ones, table by table; None is never one."""
+    other: dict[str, Any] = {}
+    for key, value in values.items():
+        of = usual.get(key)
+        if isinstance(value, Mapping):
+            if inner := _other_values(value, of if isinstance(of, Mapping) else {}):
+                other[key] = inner
+        elif value is not None and value != of:
+            other[key] = value
+    return other
 
 
 def draft(name: str, values: Mapping[str, Any]) -> Draft:

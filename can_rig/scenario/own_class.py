@@ -1,4 +1,4 @@
-"""A class of the user's, by its import path: found, called, and its failures told in one line."""
+"""A class or function of the user's, by its import path: found, called, its failures in a line."""
 
 from __future__ import annotations
 
@@ -21,12 +21,24 @@ def _is_packaged(file: str) -> bool:
     return file.startswith((PACKAGE, "<")) or "site-packages" in file or "/lib/python3" in file
 
 
-def find_class(where: str, path: str) -> type[object]:
+class _Function:
+    """A function in place of a class: no settings, and nothing to reset."""
+
+    def __init__(self, settings: object) -> None:
+        pass
+
+    def reset(self, *_: object) -> None:
+        pass
+
+
+def find_class(where: str, path: str, method: str) -> type[object]:
     """The class at ``package.module:Class``; the search includes the current directory.
 
     Args:
         where: begins an error's line, as in ``plant.kind = 'mycar:Lag'``.
-        path: the class.
+        path: the class; or a function, which becomes a class with the function as its only method
+            of effect.
+        method: this method's name.
 
     Raises:
         ScenarioError: no such module or class, or a module that cannot be imported.
@@ -48,8 +60,11 @@ def find_class(where: str, path: str) -> type[object]:
             ) from None
         raise ScenarioError(failure(where, f"{module_name} cannot be imported", error)) from None
     found = getattr(module, class_name, None)
+    if inspect.isfunction(found):
+        return type(class_name, (_Function,), {method: staticmethod(found)})
     if not inspect.isclass(found):
-        raise ScenarioError(f"{where}: no class {class_name} in {module.__file__}")
+        file = getattr(module, "__file__", module_name)
+        raise ScenarioError(f"{where}: no class or function {class_name} in {file}")
     return found
 
 

@@ -81,11 +81,15 @@ def reference(scenario: Scenario) -> FloatArray:
 @remembered(1)
 def _computed(settings: ReferenceSettings, ticks: int, tick_ns: int, tick_s: float) -> FloatArray:
     amplitude, frequency = settings.amplitude_mps2, settings.frequency_rad_per_s
+    last = (settings.samples_mps2 or (0.0,))[-1]
 
     def part(rows: slice) -> FloatArray:
         time_s = _times_s(rows, tick_ns)
         if settings.kind == "step":
             return np.full(len(time_s), amplitude)
+        if settings.samples_mps2 and settings.kind == "samples":
+            samples = np.array(settings.samples_mps2[rows.start : rows.stop])
+            return np.pad(samples, (0, len(time_s) - len(samples)), constant_values=last)
         if settings.kind == "sine":
             return amplitude * np.sin(frequency * time_s)
         return lane_change(amplitude, frequency, time_s)

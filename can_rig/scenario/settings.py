@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Annotated, Any, Final, Literal, get_args, get_type_hints
 
@@ -30,12 +31,14 @@ from can_rig.scenario.plant_settings import (
     BUILT_IN,
     BY_NUMBERS,
     CAR,
+    NUMBERS,
     SIGNALS,
     STRICT,
     PlantSettings,
     SignalSettings,
 )
 from can_rig.scenario.sensor_settings import ECHOES, MEASURED, FurtherSensor
+from firmware_model.design.vehicle import VehicleParameters
 from firmware_model.discretisation.rules import Rule
 from firmware_model.law.structs import MAX_LATENCY_TICKS, Precision
 
@@ -226,10 +229,11 @@ class NetworkSettings:
             raise ValueError("signals: must be set beside network.tick, ticks and data_ids")
 
 
-ReferenceKind = Literal["step", "sine", "lane-change", "driver", "csv"]
+ReferenceKind = Literal["step", "sine", "lane-change", "driver", "csv", "samples"]
 
 MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
 MAX_REFERENCE_MPS2 = 1e6  # far beyond any frame, and with a finite square
+Reference = Annotated[float, Field(ge=-MAX_REFERENCE_MPS2, le=MAX_REFERENCE_MPS2)]
 
 Order = Annotated[int, Field(ge=1, le=8)]
 """Of a low-pass filter."""
@@ -276,14 +280,16 @@ class BudgetSettings:
 class ReferenceSettings:
     """The reference of D*; ``reference`` has the shapes.
 
-    ``csv`` has two columns: time in s, reference in m/s². ``driver`` changes to the other of two
-    lanes, ``lane_m`` apart, at each of ``lane_changes_s``.
+    ``csv`` has two columns: time in s, reference in m/s². ``samples`` has a value for each tick;
+    the last one stays. ``driver`` changes to the other of two lanes, ``lane_m`` apart, at each of
+    ``lane_changes_s``.
     """
 
     kind: ReferenceKind = "step"
-    amplitude_mps2: Annotated[float, Field(ge=-MAX_REFERENCE_MPS2, le=MAX_REFERENCE_MPS2)] = 1.0
+    amplitude_mps2: Reference = 1.0
     frequency_rad_per_s: PositiveFloat = 5.0
     file: str = ""
+    samples_mps2: tuple[Reference, ...] | None = None
     lane_changes_s: tuple[Moment, ...] | None = None
     lane_m: Annotated[float, Field(gt=0.0, le=100.0)] = 3.5
     preview_s: Annotated[float, Field(ge=0.1, le=10.0)] = 2.0
@@ -299,6 +305,8 @@ class ReferenceSettings:
             )
         if self.kind == "csv" and not self.file:
             raise ValueError('file: must name the CSV file of a reference of kind "csv"')
+        if self.kind == "samples" and not self.samples_mps2:
+            raise ValueError('samples_mps2: must have a value for a reference of kind "samples"')
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -375,6 +383,7 @@ class Scenario:
             if getattr(self.model, key) != SignalSettings():
                 raise ValueError(f"model.{key}: must be plant.{key}; a signal has one name")
         _refuse_speeds(self)
+        self.controller.refuse_other_tick(self.tick_s)
         if self.disturbances and self.plant.kind in BY_NUMBERS:
             raise ValueError(
                 f"disturbance: plant.kind = {self.plant.kind!r}: must be {CAR} or a class; a plant "
@@ -460,12 +469,14 @@ class Scenario:
             *(("fault", fault) for fault in self.faults),
             *(("disturbance", each) for each in self.disturbances),
         ]
-        return [
+        never = [
             f"note: the {noun} ({each.kind} at {each.at_s:g} s) never occurs: "
             f"the run ends at {self.ticks * self.tick_s:g} s"
             for noun, each in listed
             if each.span_ns[0] >= self.ticks * self.tick_ns
         ]
+        others = "; for ".join(_other_plant(self))
+        return [f"note: designed for {others}"] * bool(others) + never
 
     def as_dict(self) -> dict[str, Any]:
         """Every key and value in the form of a scenario file: a list of one is a table."""
@@ -473,6 +484,25 @@ class Scenario:
         for key in LISTS:
             values[key] = values[key][0] if len(values[key]) == 1 else list(values[key])
         return values
+
+
+def _other_plant(scenario: Scenario) -> Iterator[str]:
+    """Each number of the model beside the plant's, where both differ."""
+    plant, model = scenario.plant, scenario.model
+    for key in (
+        "variant",
+        *NUMBERS,
+        *(each.name for each in dataclasses.fields(VehicleParameters)),
+    ):
+        believed, true = getattr(model, key), getattr(plant, key)
+        if believed == true or (key == "speed_mps" and scenario.drive.is_given):
+            continue
+        if key == "speed_mps":
+            yield f"{believed:g} m/s, driven at {true:g} m/s"
+        elif isinstance(true, float):
+            yield f"{key} = {believed:g}, driven with {true:g}"
+        else:
+            yield f"model.{key}, driven with another plant.{key}"
 
 
 def keys(table: type = Scenario, prefix: str = "") -> list[str]:

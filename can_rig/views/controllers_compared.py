@@ -21,7 +21,8 @@ from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.signals import Signals
 from can_rig.scenario.controller_settings import PEERS
-from can_rig.scenario.loading import Changes, as_settings
+from can_rig.scenario.from_python import settings_of
+from can_rig.scenario.loading import Changes
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
@@ -163,9 +164,8 @@ class Comparison:
 
 def compare(
     controllers: Sequence[str],
-    scenario: str = "default",
-    cases: Mapping[str, Changes] | None = None,
-    settings: Sequence[str] = (),
+    load: Callable[[Sequence[str]], Scenario],
+    cases: Mapping[str, Changes],
     on_run: Callable[[int, int], None] = lambda done, of: None,
 ) -> Comparison:
     """Each controller, a ``controller.kind``, through each case of the scenario.
@@ -174,9 +174,8 @@ def compare(
 
     Args:
         controllers: kinds; a scenario file of one's own may stand for a kind with its settings.
-        scenario: a shipped name or a file.
-        cases: changes by name; None: the group ``faults`` of ``CASES``.
-        settings: ``KEY=VALUE`` changes of every run.
+        load: the scenario with ``KEY=VALUE`` changes.
+        cases: changes by name.
         on_run: told how many runs are done, and of how many.
 
     Raises:
@@ -184,12 +183,11 @@ def compare(
     """
     if not controllers:
         raise ScenarioError("compare: must have a controller at least")
-    chosen = CASES["faults"] if cases is None else cases
     rows: list[Compared] = []
     errors: dict[tuple[str, str], tuple[FloatArray, FloatArray]] = {}
-    for case, changes in chosen.items():
+    for case, changes in cases.items():
         for controller in controllers:
-            run = _scenario(scenario, controller, changes, settings)
+            run = _scenario(load, controller, changes)
             try:
                 signals = signals_without_log(run)
             except RigError as error:
@@ -197,13 +195,15 @@ def compare(
             else:
                 rows.append(_figures(controller, case, run, signals))
                 errors[controller, case] = thinned(signals.time_s, _error(signals))
-            on_run(len(rows), len(chosen) * len(controllers))
+            on_run(len(rows), len(cases) * len(controllers))
     return Comparison(rows, errors)
 
 
-def _scenario(name: str, controller: str, changes: Changes, settings: Sequence[str]) -> Scenario:
+def _scenario(
+    load: Callable[[Sequence[str]], Scenario], controller: str, changes: Changes
+) -> Scenario:
     """The scenario of a run; ``KEY*`` of the plant or the model is a factor of its number."""
-    base = resolve.load(name, settings)
+    base = load(())
     own: dict[str, Any] = {}
     for key, value in changes.items():
         table, _, field = key.removesuffix("*").partition(".")
@@ -215,9 +215,9 @@ def _scenario(name: str, controller: str, changes: Changes, settings: Sequence[s
             raise ScenarioError(f"{key} = {value!r}: must be a factor of a key of plant or model")
     if controller.endswith(".toml"):
         kind = resolve.load(controller, ()).controller
-        return replace(resolve.load(name, [*settings, *as_settings(own)]), controller=kind)
+        return replace(load(settings_of(own)), controller=kind)
     own["controller.kind"] = controller
-    return resolve.load(name, [*settings, *as_settings(own)])
+    return load(settings_of(own))
 
 
 def _error(signals: Signals) -> FloatArray:

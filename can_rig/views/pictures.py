@@ -16,6 +16,7 @@ from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.drawing import style
 from can_rig.drawing.names import printed
 from can_rig.drawing.thinning import thinned
+from can_rig.errors import LogError
 from can_rig.logs.frames import NS_PER_S
 from can_rig.scenario.settings import Scenario
 from can_rig.views.diff import Difference, SignalDifference
@@ -64,6 +65,30 @@ def difference_page(a: SignalTable, b: SignalTable, difference: Difference) -> F
     axes[0, 0].set_title("in full", fontsize=9, loc="left")
     axes[0, 1].set_title(f"around {where}", fontsize=9, loc="left")
     figure.align_ylabels(axes[:, 0])
+    return figure
+
+
+def overlay(runs: Mapping[str, SignalTable], signals: Sequence[str]) -> Figure:
+    """A panel for each signal, a curve for each run, by the runs' names.
+
+    Raises:
+        LogError: a signal that a run lacks.
+    """
+    figure = style.page(0.8 + 1.6 * len(signals))
+    axes = figure.subplots(len(signals), 1, squeeze=False, sharex=True)[:, 0]
+    for axis, signal in zip(axes, signals, strict=True):
+        for at, (name, table) in enumerate(runs.items()):
+            if signal not in table.columns:
+                raise LogError(
+                    f"{name}: has no signal {signal}; its signals are {', '.join(table.columns)}"
+                )
+            curve = thinned(table.time_s, table.columns[signal])
+            axis.step(*curve, where="post", label=name, **style.SERIES[at % len(style.SERIES)])
+            axis.set_ylabel(style.labelled(*table.name_and_unit(signal)))
+        style.ruled(axis)
+    style.legend_above(axes[0])
+    axes[-1].set_xlabel("time in s")
+    figure.align_ylabels(axes)
     return figure
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+import difflib
 import html
 import io
 import json
+import math
 import shutil
 import weakref
 from functools import cached_property
@@ -13,7 +15,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, Final
 
-from can_rig.errors import LogError, RunFolderError, ScenarioError, in_python
+from can_rig.errors import LogError, RigError, RunFolderError, ScenarioError, in_python
 from can_rig.folders import NewFolder
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.results.execution import Options, execute, refuse
@@ -21,7 +23,7 @@ from can_rig.results.metrics import Metrics, rows
 from can_rig.results.run_folder import REPORT, RUN_FOLDER, SUMMARY, signals_of_log
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from can_rig.views.signal_table import read_table, scenario_of
+from can_rig.views.signal_table import SignalTable, read_table, scenario_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -70,6 +72,25 @@ class RecordedRun:
         values: Metrics = self.summary["metrics"]
         return values
 
+    def metric(self, name: str) -> float:
+        """A metric as a number; not a number where the run lacks the moment in question.
+
+        Raises:
+            RigError: no such metric, or one in words.
+        """
+        if name not in self.metrics:
+            near = difflib.get_close_matches(name, self.metrics, n=1, cutoff=0.0)
+            raise RigError(f"metric {name}: no such metric; did you mean {near[0]}?")
+        value = self.metrics[name]
+        if isinstance(value, str):
+            raise RigError(f"metric {name} = {value!r}: must be a metric that is a number")
+        return math.nan if value is None else float(value)
+
+    @cached_property
+    def table(self) -> SignalTable:
+        """The columns of ``signals.csv`` as arrays, with names and units."""
+        return read_table(self.folder, self.scenario)
+
     @cached_property
     def signals(self) -> pd.DataFrame:
         """The columns of ``signals.csv``, a row a tick; the index is ``time_s``.
@@ -78,7 +99,7 @@ class RecordedRun:
         """
         import pandas as pd  # noqa: PLC0415 (slow to import)
 
-        table = read_table(self.folder, self.scenario)
+        table = self.table
         frame = pd.DataFrame(table.columns, index=pd.Index(table.time_s, name="time_s"), copy=False)
         printed = {column: table.name_and_unit(column) for column in table.columns}
         frame.attrs["names"] = {column: name for column, (name, _) in printed.items()}
@@ -115,6 +136,19 @@ class RecordedRun:
                 raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from None
             made.publish()
         return made.path
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All files of the folder: a pickled run needs no folder."""
+        files = {file.name: file.read_bytes() for file in self.folder.iterdir() if file.is_file()}
+        return {"name": self.folder.name, "scenario": self.scenario, "files": files}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        temporary = Path(mkdtemp(prefix="can-rig-"))
+        folder = temporary / state["name"]
+        folder.mkdir()
+        for name, content in state["files"].items():
+            (folder / name).write_bytes(content)
+        RecordedRun.__init__(self, folder, state["scenario"], temporary)
 
     def __repr__(self) -> str:
         """Scenario, ticks, end of the run."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -143,8 +144,8 @@ RUN = (
 def test_its_python_runs(page: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code = "\n".join(blocks(text_of(page), "python"))
     assert code
-    names: dict[str, object] = {}
-    exec(code, names)
+    (tmp_path / "page.py").write_text(code, "utf-8")
+    names = runpy.run_path(str(tmp_path / "page.py"), run_name="page_of_the_docs")
     for name, test in names.items():
         if name.startswith("test_") and callable(test):
             test(*[tmp_path] * len(inspect.signature(test).parameters))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import gc
 import json
+import pickle
 import subprocess
 import sys
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Any
+from typing import Any, assert_type
 
 import nbclient
 import nbformat
@@ -21,9 +22,13 @@ import pytest
 import can_rig
 from can_rig import api, errors
 from can_rig.api import RecordedRun
+from can_rig.assessment.stability import StabilityCheck
+from can_rig.campaigns.statistics import Summary
 from can_rig.decoding.decode import decode_log
 from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY
 from can_rig.views import recorded_run
+from can_rig.views.diff import Difference
+from can_rig.views.log_statistics import LogStatistics
 from tests.helpers import DBC, asked, record
 
 SHORT = {"fault.at_s": 0.2, "duration_s": 0.4, "fault": {"kind": "actuator-dead"}}
@@ -177,6 +182,83 @@ def test_decode_is_a_table_for_each_message(run: RecordedRun) -> None:
     assert {len(table) for table in part.values()} == {10}
 
 
+def test_a_pickled_run_needs_no_folder() -> None:
+    made = can_rig.run("thesis-step", {"duration_s": 0.05})
+    kept, signals, metrics = pickle.dumps(made), made.signals.copy(), made.metrics
+    del made
+    gc.collect()
+    again: RecordedRun = pickle.loads(kept)
+    assert again.metrics == metrics
+    pd.testing.assert_frame_equal(again.signals, signals)
+    folder = again.folder
+    del again
+    gc.collect()
+    assert not folder.parent.exists()
+
+
+def test_a_metric_is_a_number(run: RecordedRun) -> None:
+    assert assert_type(run.metric("torque_peak_nm"), float) == run.metrics["torque_peak_nm"]
+    assert run.metrics["error_integral_after_fault_mps"] is not None
+    healthy = can_rig.run("thesis-step", {"duration_s": 0.02, "fault.kind": "none"})
+    assert np.isnan(healthy.metric("detection_delay_s"))
+
+
+def test_two_runs_differ_as_the_command_says(run: RecordedRun, tmp_path: Path) -> None:
+    other = can_rig.run(run.scenario, {"design.compensation": "off"})
+    a, b = run.save(tmp_path / "a"), other.save(tmp_path / "b")
+    found = assert_type(can_rig.diff(run, b), Difference)
+    said = json.loads(asked("diff", a, b, "--json").stdout)
+    assert not found.same
+    assert json.loads(json.dumps(found.as_dict())) == {key: said[key] for key in found.as_dict()}
+    assert can_rig.diff(run, run).same
+    peak = float(np.abs(run.table.columns["torque_nm"] - other.table.columns["torque_nm"]).max())
+    wide = can_rig.diff(run, other, tolerances={"torque_nm": peak})
+    assert [each.beyond for each in wide.signals if each.signal == "torque_nm"] == [0]
+
+
+def test_runs_are_drawn_over_one_another(run: RecordedRun) -> None:
+    other = can_rig.run(run.scenario, {"design.compensation": "off"})
+    figure = can_rig.plot({"with": run, "without": other}, ["dstar_mps2", "torque_nm"])
+    dstar, torque = figure.axes
+    assert [line.get_label() for line in dstar.get_lines()] == ["with", "without"]
+    assert "N m" in torque.get_ylabel()
+    drawn = torque.get_lines()[1].get_ydata()
+    values = other.table.columns["torque_nm"]
+    assert (np.nanmin(drawn), np.nanmax(drawn)) == (np.nanmin(values), np.nanmax(values))
+
+
+def test_stats_count_the_lines_of_the_log(run: RecordedRun) -> None:
+    found = assert_type(can_rig.stats(run.folder), LogStatistics)
+    lines = (run.folder / LOG).read_text().splitlines()
+    times = [float(line.split()[0].strip("()")) for line in lines]
+    assert (found.frames, found.span_s) == (len(lines), pytest.approx(times[-1] - times[0]))
+    identifiers = {line.split()[2].split("#")[0] for line in lines}
+    assert {each.as_dict()["identifier"] for each in found.identifiers.values()} == identifiers
+
+
+def test_a_campaign_is_a_table_of_runs(tmp_path: Path) -> None:
+    (tmp_path / "two.toml").write_text(
+        'sampling = "grid"\n[axes]\n"fault.left" = { values = [0.0, 0.5] }\n'
+        '[requirements]\nsmall = "torque_peak_nm < 1"\n'
+    )
+    found = can_rig.campaign(tmp_path / "two.toml", SHORT, folder=tmp_path / "kept")
+    assert assert_type(found.summary, Summary).rates[0].failed == 2
+    row = found.runs.set_index("fault.left").loc[0.5]
+    alone = can_rig.run("default", {**SHORT, "fault.left": 0.5, "seed": row["seed"]})
+    assert row["torque_peak_nm"] == alone.metric("torque_peak_nm")
+    assert (tmp_path / "kept" / "report.html").is_file()
+    with pytest.raises(errors.RunFolderError, match="there already"):
+        can_rig.campaign(tmp_path / "two.toml", SHORT, folder=tmp_path / "kept")
+    assert len(can_rig.campaign(tmp_path / "two.toml", SHORT, workers=2).runs) == 2
+
+
+def test_a_check_has_one_type() -> None:
+    still = assert_type(can_rig.check("thesis-step"), StabilityCheck)
+    drive = can_rig.check("thesis-step", {"drive.ramps": [[0.0, 9.0], [1.0, 11.0]]})
+    fastest = can_rig.check("thesis-step", {"plant.speed_mps": 11.0})
+    assert drive.healthy == fastest.healthy != still.healthy
+
+
 STEERING = DBC / "steer_by_wire.dbc"
 SPEED = {"plant.speed_mps": 8.0}
 ANY: Any = can_rig
@@ -208,6 +290,13 @@ REFUSED: list[tuple[Callable[[], Any], type[errors.RigError], str]] = [
     (lambda: ANY.tune("default", ranges=SPEED), errors.ScenarioError,
      "ranges: plant.speed_mps = 8.0: must be a pair"),
     (lambda: ANY.tune("default", box=-1.0), errors.ScenarioError, "box"),
+    (lambda: ANY.diff("none", "none"), errors.LogError, "none: there is no such file"),
+    (lambda: ANY.stats("none.log"), errors.LogError, "none.log"),
+    (lambda: ANY.stats("none.log", bitrate=0), errors.RigError, "bit rate"),
+    (lambda: ANY.plot({}, ["dstar_mps2"]), errors.LogError, "must have a run at least"),
+    (lambda: ANY.campaign("loses"), errors.ScenarioError, "did you mean losses"),
+    (lambda: ANY.save_scenario("default", "x.toml"), errors.ScenarioError, "must be a Scenario"),
+    (lambda: ANY.compare([3]), errors.ScenarioError, "controllers = 3: must be a text, a class"),
 ]  # fmt: skip
 
 
