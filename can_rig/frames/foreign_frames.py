@@ -244,7 +244,7 @@ def _initial(message: Message, signal: Signal) -> int | float:
 
 STATUS = "fault_estimate"  # the key of the status message's value
 WORDS = {
-    "mode": {0: "INIT", 1: "RUN", 2: "BLIND", 3: "SAFE_STOP"},
+    "mode": {0: "STANDBY", 1: "RUN", 2: "BLIND", 3: "SAFE_STOP"},
     "fault_state": {0: "CLEAR", 1: "SUSPECTED", 2: "CONFIRMED", 3: "CANNOT_TELL"},
     "verdict": {int(verdict): verdict.name for verdict in Verdict},
 }

@@ -12,7 +12,8 @@ The controller's own commands are what it would have sent, and act on nothing. W
 in the log, the reference is D* itself: then the torque command follows the torque that would make
 the model move as the car did.
 
-Where the log has the speed, the design follows the speed. Ticks below the lowest design are BLIND.
+Where the log has the speed, the design follows the speed. Below the lowest design the
+controller is in STANDBY.
 """
 
 from __future__ import annotations
@@ -137,6 +138,7 @@ class Replayed:
             "ticks": len(self.columns),
             "ticks_run": int(running.sum()),
             "ticks_blind": int((mode == Mode.BLIND).sum()),
+            "ticks_standby": int((mode == Mode.STANDBY).sum()),
             "from_s": float(self.time_s[0]),
             "to_s": float(self.time_s[-1]),
             "design_speeds_mps": list(self.design_speeds_mps),
@@ -225,9 +227,8 @@ def replay_drive(
     speed = drive.columns.get("speed", np.full(len(y), math.nan))
     reference = drive.columns.get("reference", y)
     known = np.isfinite(y) & np.isfinite(u1) & np.isfinite(u2) & np.isfinite(reference)
-    if "speed" in drive.columns:
-        known &= speed >= speeds[0] * (1.0 - 1e-9)
-    if not known.any():
+    moves = known & ~(speed < speeds[0] * (1.0 - 1e-9))
+    if not moves.any():
         raise LogError(
             f"{source.log.path}: no tick has all of its inputs at a speed of {speeds[0]:.3g} m/s "
             "or above"
@@ -235,7 +236,7 @@ def replay_drive(
     firmware = Firmware(of.table, speeds=of.schedule)
     answers = np.empty((len(y), 6))
     with counting(len(y)) as progress:
-        first = int(np.argmax(known))
+        first = int(np.argmax(moves))
         firmware.change_speed(float(speed[first]))
         firmware.step(math.nan, math.nan)
         firmware.reset(float(y[first]))

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from firmware_model.law import actuator, status
+from firmware_model.law import actuator, standby, status
 from firmware_model.law.fault_decision import (
     likelihood_ratio,
 )
@@ -127,6 +127,7 @@ class State(status.State):
     hypotheses: Annotated[verdict.State, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopState, "1", "where the commands have to go"]
     prediction: Annotated[PredictionState, "1", "in place of a missing measurement"]
+    standby: Annotated[standby.State, "1", "of a car slower than the lowest design"]
 
 
 def table_type(precision: Precision = "float64") -> np.dtype[np.void]:

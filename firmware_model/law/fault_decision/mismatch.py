@@ -244,6 +244,7 @@ def settle_mismatch(table: Table, state: layout.State, model_output: float) -> N
     )
 
 
+@firmware
 def doubt_motion(constants: Constants, state: State, variance: float) -> None:
     """Allow an initial error of y with this ``variance`` that fades with time."""
     state.rule = variance
