@@ -143,9 +143,9 @@ class LiveSignals:
 
     def __init__(self, scenario: Scenario, network: Network) -> None:
         self._scenario = scenario
-        self._reasoning: Reasoning | None = Reasoning(scenario, network)
-        self.confirm: Final = self._reasoning.confirm
-        """The evidence that confirms a loss."""
+        self._reasoning = Reasoning(scenario, network) if scenario.controller.is_ours else None
+        self.confirm: Final = None if self._reasoning is None else self._reasoning.confirm
+        """The evidence that confirms a loss; None: a controller of one's own, which says none."""
         self._lsbs = network.command_1.lsb, network.command_2.lsb
         self._next_tick = 0
         self._status = network.status

@@ -36,6 +36,7 @@ from can_rig.files import PICTURES, atomic, refuse_existing
 from can_rig.logs.frames import NS_PER_S
 from can_rig.replaying.recorded_drive import Buses, Drive, recorded_drive
 from can_rig.results.source import Reading, Source
+from can_rig.scenario.build import require_ours
 from can_rig.scenario.driving import controls, design_speeds
 from can_rig.scenario.log_signals import MPS2, NM, ROLES, N
 from can_rig.scenario.settings import (
@@ -213,6 +214,7 @@ def replay_drive(
     """
     if max_age_s is not None and not 0.0 < max_age_s < math.inf:
         raise LogError(f"max age = {max_age_s:g} s: must be above 0")
+    require_ours(source.scenario, "a recorded drive through the estimator")
     drive = recorded_drive(source, dbc, max_age_s, reading)
     scenario = _scenario_of(source.scenario, drive)
     of = controls(scenario, None)

@@ -19,6 +19,7 @@ from typing import Any, Final
 
 import can
 
+from can_rig.controllers.making import PEER
 from can_rig.controllers.our_law import PYTHON
 from can_rig.controllers.protocol import InNode
 from can_rig.errors import LogError
@@ -210,7 +211,7 @@ class OpenLoop:
     Args:
         scenario: the controller's scenario; its frame faults are ignored, the log contains its own.
         network: the frames.
-        controller: starts the controller.
+        controller: starts the controller; None: that of the scenario.
         recorded: the answers of a run in real time; None: a run in lockstep.
 
     Raises:
@@ -221,7 +222,7 @@ class OpenLoop:
         self,
         scenario: Scenario,
         network: Network,
-        controller: InNode = PYTHON,
+        controller: InNode | None = None,
         recorded: Recorded | None = None,
     ) -> None:
         self._tick_s = scenario.tick_s
@@ -232,7 +233,7 @@ class OpenLoop:
             replace(scenario, fault=tuple(f for f in scenario.faults if f.kind == RESTARTED)),
             network,
             lambda message: self._sent.append(bytes(message.data)),
-            controller,
+            controller or (PYTHON if scenario.controller.is_ours else PEER),
             recorded,
         )
         self.account: Final = Account(network, scenario.tick_ns, scenario.outages)

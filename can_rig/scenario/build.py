@@ -98,6 +98,19 @@ def _of_sensor(
     return of.signal, factor
 
 
+def require_ours(scenario: Scenario, what: str) -> None:
+    """Refuse a controller of another kind for ``what``, which is about the rig's own law.
+
+    Raises:
+        ScenarioError: the kind.
+    """
+    if not scenario.controller.is_ours:
+        raise ScenarioError(
+            f"scenario {scenario.name}: controller.kind = {scenario.controller.kind!r}: must be "
+            f"'ours' for {what}"
+        )
+
+
 def dbc_of(scenario: Scenario) -> Path:
     """The file of the scenario's frames; the signals of a recorded drive alone are not a run's."""
     chosen = scenario.network

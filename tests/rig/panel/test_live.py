@@ -147,3 +147,19 @@ def test_the_last_value_of_each_further_sensor_is_shown_and_one_that_is_not_vali
         "torque echo N m": None,
         "force difference echo N": last["force_difference_echo_n"],
     }
+
+
+@pytest.mark.parametrize("kind", ["pi", "kalman"])
+def test_the_screen_is_empty_where_a_controller_says_nothing(kind, tmp_path):
+    settings = ["duration_s=0.3", "fault.at_s=0.1", f"controller.kind={kind}"]
+    log, _, scenario = record(tmp_path, *settings, name="default")
+    live = LiveSignals(scenario, network_of(scenario))
+    for frame in can.LogReader(log):
+        live.frames.on_message_received(frame)
+    rows = np.concatenate([live.update() for _ in range(HOLD + 1)])
+    shown = dict(zip(COLUMNS, rows.T, strict=True))
+    says = kind == "kalman"
+    assert np.isfinite(shown["estimate"]).any() == np.isfinite(shown["fault_state"]).any() == says
+    assert not np.isfinite([shown[name] for name in ("verdict", *EVIDENCE)]).any()
+    assert (live.lamps.mode, live.lamps.verdict, live.confirm) == ("RUN", "", None)
+    assert live.lamps.fault_state == ("CONFIRMED" if says else "")
