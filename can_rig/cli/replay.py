@@ -29,8 +29,6 @@ from can_rig.cli.options import (
 )
 from can_rig.cli.output import counting, json_line, note, reading, say, table, tell, wide
 from can_rig.cli.run import closing_table
-from can_rig.controllers.making import PEER
-from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import INTERRUPTED, LogError
 from can_rig.files import atomic, refuse_existing
 from can_rig.logs.frames import ALL, NS_PER_S, Frames, Window, window_of
@@ -200,8 +198,7 @@ def _open_loop(source: Source, begin_ns: int, gaps: Path | None, force: bool, as
         if source.is_realtime:
             looking = source.frames(lambda log: reading(log, "looking through"))
             answers = recorded(looking, network, source.scenario)
-        controller = PYTHON if source.scenario.controller.is_ours else PEER
-        loop = OpenLoop(source.scenario, network, controller, answers)
+        loop = OpenLoop(source.scenario, network, recorded=answers)
         loop.run(_compared_from(begin_ns, source, loop))
         listed = loop.account.gaps
         write(listed)

@@ -202,6 +202,11 @@ class DataIds:
     command_1: DataId | None = None
     command_2: DataId | None = None
     status: DataId | None = None
+    yaw_rate: DataId | None = None
+    lateral_acceleration: DataId | None = None
+    steering_angle: DataId | None = None
+    torque_echo: DataId | None = None
+    force_difference_echo: DataId | None = None
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -28,8 +28,8 @@ BO_ 1311 ESP13: 4 VMC
  SG_ LAT_ACCEL : 7|16@0- (0.001,0) [-2|2] "g" EPS
 
 BO_ 1312 SAS11: 5 VMC
- SG_ Angle : 0|16@1- (0.1,0) [-3000|3000] "deg" EPS
- SG_ Word : 16|16@1- (1,0) [-3000|3000] "furlong" EPS
+ SG_ Angle : 16|16@1- (0.1,0) [-3000|3000] "deg" EPS
+ SG_ Word : 32|8@1- (1,0) [-100|100] "furlong" EPS
 """
 CALM = {"noise": 0.0, "resolution": 0.0, "corner_hz": 0.0}
 SENSORS = [
@@ -115,6 +115,16 @@ def test_a_sensor_without_validity_sends_not_available(dbc: Path, tmp_path: Path
     found = read_signals(log, network_of(chosen), chosen.tick_s).sensors
     yaw = found["measured_yaw_rate_rad_per_s"][::20]
     assert [math.isnan(value) for value in yaw] == [10 <= at < 15 for at in range(20)]
+
+
+def test_a_protected_sensor_s_corrupted_frames_are_not_heard(dbc: Path, tmp_path: Path) -> None:
+    fault = {"kind": "frames-corrupted", "channel": "steering-angle", "at_s": 0.2, "for_s": 0.1}
+    network = {"dbc": str(dbc), "tick": "Count", "signals": {**SIGNALS, **ROLES}}
+    chosen = scenario(None, {}, fault=fault, network={**network, "data_ids": {"steering_angle": 7}})
+    log = ran(chosen, tmp_path / "run")
+    found = read_signals(log, network_of(chosen), chosen.tick_s).sensors
+    angle = found["measured_steering_angle_rad"][::10]
+    assert [math.isnan(value) for value in angle] == [20 <= at < 30 for at in range(40)]
 
 
 @pytest.mark.parametrize(
