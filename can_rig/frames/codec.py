@@ -277,14 +277,18 @@ class Hearing:
         return message.arbitration_id in self._by_id
 
     def take(self, message: Message, tick: int | None) -> None:
-        """Take in a frame of ``tick``; None: of any. A frame marked invalid has no value."""
+        """Take in a frame of ``tick``; None: of any. A frame marked invalid has no value.
+
+        A frame of a foreign database says neither a validity nor the tick of its sample.
+        """
         at = self._by_id[message.arbitration_id]
         record = self.receivers[at].accept(message, tick)
         if record is None:
             return
-        name = self._names[at]
-        self._now[name] = record.value if record.mode else math.nan
-        self._now[name + AGE] = (record.tick - record.verdict) % (1 << SAMPLE_BITS)
+        name, says = self._names[at], self.receivers[at].codec.modes
+        self._now[name] = record.value if record.mode or not says else math.nan
+        age = (record.tick - record.verdict) % (1 << SAMPLE_BITS)
+        self._now[name + AGE] = age if says else math.nan
 
     def end_tick(self, tick: int) -> Mapping[str, float]:
         """What ``tick`` has brought: value and age of the sample, not a number where none came."""

@@ -5,6 +5,7 @@ Every loop takes the same compiled ``sense``, so each says the same bits.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -184,10 +185,11 @@ class SensorFrames:
         """The frames of a tick in which the sensors say this."""
         own = {
             each.sensor: self._senders[each.sensor].frame(
-                each.value, tick, int(each.valid), 0, each.sample_tick % SAMPLE_TICKS
+                each.value if each.valid or self._senders[each.sensor].codec.modes else math.nan,
+                tick, int(each.valid), 0, each.sample_tick % SAMPLE_TICKS,
             )
             for each in said
-        }
+        }  # fmt: skip
         return [
             frame
             for at in range(len(self._senders))

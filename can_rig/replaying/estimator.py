@@ -57,6 +57,9 @@ the designs."""
 TOO_RARE: Final = 1.5
 """Ticks between two samples of D* from which on the decision may take a sensor for frozen."""
 
+OPPOSITE: Final = -0.2
+"""Correlation of two witnesses of one turn from which on down their signs are opposite."""
+
 STEADY: Final = 1.02
 """Speeds within this ratio have one design."""
 
@@ -116,15 +119,28 @@ class Replayed:
         ]
 
     def notes(self) -> list[str]:
-        """Lines about samples that are too rare for the tick."""
+        """Lines about samples too rare for the tick, and about witnesses that contradict."""
+        has, said = self.drive.columns, []
+        if {"yaw_rate", "lateral_acceleration", "speed"} <= has.keys():
+            turned, felt = has["yaw_rate"] * has["speed"], has["lateral_acceleration"]
+            both = np.isfinite(turned) & np.isfinite(felt)
+            with np.errstate(invalid="ignore"):  # one that never changes
+                alike = np.corrcoef(turned[both], felt[both])[0, 1] if both.any() else 1.0
+            if alike < OPPOSITE:
+                said.append(
+                    f"yaw rate times speed and lateral acceleration have opposite signs "
+                    f"(correlation {alike:.2f}): one of them must have factor = -1, as a sensor "
+                    "with the other direction, or D* is wrong"
+                )
         of_output = {"feedback", "yaw_rate", "lateral_acceleration"}
         periods = [each.period_s for each in self.drive.samples if each.role in of_output]
         if max(periods) <= TOO_RARE * self.scenario.tick_s:
-            return []
+            return said
         return [
+            *said,
             f"D* has a new sample every {1e3 * max(periods):.3g} ms only, and the tick is "
             f"{1e3 * self.scenario.tick_s:g} ms: repeated samples look like a frozen sensor; "
-            "choose a scenario with a longer tick"
+            "choose a scenario with a longer tick",
         ]
 
     def summary(self) -> dict[str, Any]:

@@ -33,6 +33,7 @@ from can_rig.replaying.rig_frames import (
     SPEED_ROLE,
     Recorded,
     RigFrame,
+    codecs_of,
     is_input,
     rig_frames,
 )
@@ -226,7 +227,7 @@ class OpenLoop:
     ) -> None:
         self._tick_s = scenario.tick_s
         self._network = network
-        self._codecs = network.by_role
+        self._codecs = codecs_of(network)
         self._sent: list[bytes] = []
         self._node = ControllerNode(
             replace(scenario, fault=tuple(f for f in scenario.faults if f.kind == RESTARTED)),
@@ -261,6 +262,9 @@ class OpenLoop:
         time_ns = 0
         for frame, following in _with_following(rig_frames(chunks, self._network)):
             time_ns = frame.time_ns
+            if frame.role > SPEED_ROLE:  # of a further sensor: heard, and not accounted for
+                self._serve(frame)
+                continue
             if self.first_tick is None:
                 self._make_contact(frame)
                 continue

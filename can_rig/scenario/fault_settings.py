@@ -131,8 +131,9 @@ class FaultSettings:
                 f"channel = {self.channel!r}: must be {' or '.join(allowed)} for {self.kind!r}"
             )
         if (self.other is None) == (self.kind == SWAPPED) or self.other == self.channel:
+            given = "other" if self.other is None else f"other = {self.other!r}"
             must = "another sensor than the channel" if self.kind == SWAPPED else "left out"
-            raise ValueError(f"other = {self.other!r}: must be {must} for {self.kind!r}")
+            raise ValueError(f"{given}: must be {must} for {self.kind!r}")
         if self.channel in MEASURED:
             if self.kind.startswith(("actuator-", "controller-")):
                 raise ValueError(
