@@ -96,7 +96,7 @@ class AnyLayout:
                 raise DbcError(f"{where.of(signal)} is multiplexed: must be in every frame")
         self._from_zero = 0 if is_float(places.value) else _steps_to_zero(places.value, where)
         self._sign = -1 if (places.value.scale < 0) != mirrored else 1
-        self._rest = {s.name: _initial(message, s) for s in message.signals}
+        self._rest: dict[str, int | float] = {s.name: _initial(message, s) for s in message.signals}
         if places.tick is not None:
             _require_counter(places.tick, where)
             self._tick_mask = (1 << places.tick.length) - 1
@@ -107,6 +107,10 @@ class AnyLayout:
                     f"{where.of(code)}: must be an integer of at least {bits} bits, factor 1, "
                     "offset 0"
                 )
+
+    def share(self, other: AnyLayout) -> None:
+        """Pack a frame together with ``other``, of the same message: each sends both values."""
+        self._rest = other._rest
 
     def pack(self, k: float, tick: int, mode: int, fault_state: int, verdict: int) -> bytearray:
         """The bytes of a frame, including the initial values of unmapped signals."""
@@ -284,6 +288,7 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
     found = {key: _signal(database, path, key, name) for key, name in signals.items() if name}
     codecs: list[MessageCodec] = []
     by_id: dict[int, str] = {}
+    layouts: dict[int, AnyLayout] = {}
     for role in (*ROLES, *mapping.sensors):
         key = STATUS if role == "status" else role
         message, value = found[key]
@@ -295,7 +300,7 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
                     f"{message.name}, with the fault estimate"
                 )
         other = by_id.setdefault(message.frame_id, role)
-        if other != role:
+        if other != role and not {role, other} <= mapping.sensors.keys():
             raise DbcError(
                 f"network.signals: {other} and {role} both have identifier "
                 f"0x{message.frame_id:X} ({message.name}): each must have a message of its own"
@@ -311,7 +316,14 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
         played |= {} if tick is None else {f"network.{tick_key}": tick}
         where = Where(f"{path}: message {message.name}", _keys_by_signal(message, played))
         layout = AnyLayout(message, Places(value, tick, **codes), where, factor < 0.0)
+        layout.share(layouts.setdefault(message.frame_id, layout))
+        if other != role:
+            _keys_by_signal(message, {**played, f"network.signals.{other}": found[other][1]})
         data_id = mapping.data_ids.get(role)
+        if data_id != mapping.data_ids.get(other):
+            raise DbcError(
+                f"network.data_ids.{role}: must be that of {other}, which {message.name} has too"
+            )
         if data_id is not None:
             _require_room(message, (value, tick, *codes.values()), where)
         scale = scale_of(value, where)

@@ -159,7 +159,8 @@ class LiveSignals:
             getattr(network, role).frame_id: node for node, roles in ENDS.items() for role in roles
         }
         self._speed = None if network.speed is None else Receiver(network.speed)
-        self._witnesses = {codec.frame_id: Receiver(codec) for codec in network.witnesses}
+        self._witnesses = [Receiver(codec) for codec in network.witnesses]
+        self._of_sensors = {codec.frame_id for codec in network.witnesses}
         identifiers = operator_frames.identifiers()
         self._applied_id, self._taken_id = identifiers.applied, identifiers.taken
         self._applied: dict[int, tuple[float, float]] = {}
@@ -204,8 +205,10 @@ class LiveSignals:
             said = self._speed.accept(message)
             if said is not None and math.isfinite(said.value):
                 self.lamps.speed_mps = said.value
-        elif message.arbitration_id in self._witnesses:
-            self._hear_sensor(self._witnesses[message.arbitration_id], message)
+        elif message.arbitration_id in self._of_sensors:
+            for receiver in self._witnesses:
+                if receiver.codec.frame_id == message.arbitration_id:
+                    self._hear_sensor(receiver, message)
         elif message.arbitration_id == self._applied_id:
             applied = operator_frames.read_applied(message)
             if applied is not None:

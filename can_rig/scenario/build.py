@@ -59,6 +59,15 @@ def network_of(scenario: Scenario) -> Network:
     }
     network = map_network(chosen.dbc, Roles(chosen.signals.of_frames, ticks, data_ids, sensors))
     network = replace(network, periods=periods)
+    timings: dict[int, tuple[str, tuple[int, ...]]] = {}
+    for each, codec in zip(scenario.sensors, network.witnesses, strict=True):
+        timing = each.timing(scenario.tick_s)[:2]
+        other, its = timings.setdefault(codec.frame_id, (each.measures, timing))
+        if its != timing:
+            raise ScenarioError(
+                f"scenario {scenario.name}: sensor {each.measures!r}: must have the period_s and "
+                f"phase_s of {other!r}, which is in message {codec.name} too"
+            )
     for fault in scenario.faults:
         if fault.kind != "frames-corrupted":
             continue

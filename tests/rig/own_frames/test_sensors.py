@@ -22,6 +22,7 @@ from tests.rig.own_frames.scenarios import MOTOROLA, SIGNALS
 OF_A_CAR = """
 BO_ 1310 ESP12: 8 VMC
  SG_ YAW_RATE : 40|13@1+ (0.01,-40.95) [-40.95|40.96] "deg/s" EPS
+ SG_ LAT_ACCEL : 24|11@1+ (0.01,-10.23) [-10.23|10.24] "m/s^2" EPS
  SG_ Count : 0|16@1+ (1,0) [0|65535] "" EPS
 
 BO_ 1311 ESP13: 4 VMC
@@ -108,6 +109,38 @@ def test_sensors_are_sent_in_the_units_of_the_database_and_heard_in_the_rig_s(
     assert max(abs(signals["Angle"]) for _, signals in said) > 2.0
 
 
+def test_two_sensors_of_one_message_share_its_frames_and_their_faults(
+    dbc: Path, tmp_path: Path
+) -> None:
+    sensors = [{**each, "period_s": 0.02, "phase_s": 0.0} for each in SENSORS[:2]]
+    forged = {"kind": "frames-forged", "channel": "yaw-rate", "value": 0.3, "at_s": 0.3}
+    missing = {"kind": "frames-missing", "channel": "yaw-rate", "at_s": 0.2, "for_s": 0.1}
+    roles = {"yaw_rate": "ESP12.YAW_RATE", "lateral_acceleration": "ESP12.LAT_ACCEL"}
+    chosen = scenario(dbc, roles, sensor=sensors, fault=[missing, forged])
+    log, database = ran(chosen, tmp_path / "one"), cantools.database.load_file(dbc)
+    assert ran(chosen, tmp_path / "two", runner=two_processes).read_bytes() == log.read_bytes()
+    alone = ran(scenario(None, {}, sensor=sensors), tmp_path / "alone")
+    exact = read_signals(alone, network_of(scenario(None, {}, sensor=sensors)), 0.001).sensors
+    heard = read_signals(log, network_of(chosen), chosen.tick_s).sensors
+    frames = [each for each in can.LogReader(log) if each.arbitration_id == 1310]
+    ticks = [round(each.timestamp / chosen.tick_s) for each in frames]
+    assert ticks == [
+        *range(0, 200, 20),
+        *(at for tick in range(300, 400, 20) for at in (tick,) * 2),
+    ]
+    for tick, message in zip(ticks[:10], frames[:10], strict=True):
+        said = database.decode_message(message.arbitration_id, message.data)
+        yaw, felt = (column[tick] for column in exact.values())
+        assert said["YAW_RATE"] == pytest.approx(math.degrees(yaw), abs=0.015)
+        assert said["LAT_ACCEL"] == pytest.approx(felt, abs=0.015)
+        assert heard["measured_yaw_rate_rad_per_s"][tick] == pytest.approx(yaw, abs=0.0003)
+        assert heard["measured_lateral_acceleration_mps2"][tick] == pytest.approx(felt, abs=0.015)
+    yaws = heard["measured_yaw_rate_rad_per_s"]
+    assert yaws[380] != pytest.approx(0.3, abs=0.01)  # unprotected: the last frame counts
+    said = database.decode_message(1310, frames[10].data)
+    assert said["YAW_RATE"] == pytest.approx(math.degrees(0.3), abs=0.006)
+
+
 def test_a_sensor_without_validity_sends_not_available(dbc: Path, tmp_path: Path) -> None:
     fault = {"kind": "sensor-invalid", "channel": "yaw-rate", "at_s": 0.2, "for_s": 0.1}
     chosen = scenario(dbc, ROLES, fault=fault)
@@ -131,12 +164,16 @@ def test_a_protected_sensor_s_corrupted_frames_are_not_heard(dbc: Path, tmp_path
     ("roles", "line"),
     [
         ({"yaw_rate": ""}, "network.signals.yaw_rate: must be set for the sensor 'yaw-rate'"),
-        ({"yaw_rate": "ESP12.YAW"}, "message ESP12 has no signal YAW; it has Count, YAW_RATE"),
+        ({"yaw_rate": "ESP12.YAW"}, "message ESP12 has no signal YAW; it has Count, LAT_ACCEL"),
         ({"yaw_rate": "ESP12.Count"}, "network.signals.yaw_rate: has no unit; must be a table"),
         ({"steering_angle": "SAS11.Word"}, "has unit 'furlong'; must be a table with unit = one"),
         ({"yaw_rate": "ESP13.LAT_ACCEL"}, "network.signals.yaw_rate: has unit 'g'; must be"),
         ({"steering_angle": {"signal": "ESP12.YAW_RATE", "unit": "deg"}},
-         "yaw_rate and steering_angle both have identifier 0x51E (ESP12)"),
+         "network.signals.yaw_rate are both ESP12.YAW_RATE: each must have a signal"),
+        ({"lateral_acceleration": "ESP12.LAT_ACCEL"},
+         "sensor 'lateral-acceleration': must have the period_s and phase_s of 'yaw-rate'"),
+        ({"yaw_rate": {"signal": "ESP_Motion.DStarMeas", "unit": "rad/s"}},
+         "feedback and yaw_rate both have identifier"),
         ({"yaw_rate": {"signal": "ESP12.YAW_RATE", "sign": "ESP12.Count"}},
          "network.signals.yaw_rate: must be one signal, with unit and factor at most"),
         ({"yaw_rate": ["ESP12.YAW_RATE", "SAS11.Angle"]}, "network.signals.yaw_rate: must be one"),
