@@ -113,9 +113,10 @@ def test_a_car_that_was_turned_by_its_driver_shows_no_fault_while_it_comes_back(
 
 def test_a_known_loss_is_taken_over_after_a_short_standby_without_a_bump(firmware):
     its, forces = Car(), []
+    firmware.reset(0.0)
     for tick in range(1500):
         answer = firmware.step(math.sin(0.01 * tick), its.y)
-        its.follow(answer, left=0.0)
+        its.follow(answer, left=float(tick < 200))
         forces.append(answer.command_2)
     assert answer.fault_state == FaultState.CONFIRMED
     firmware.change_speed(SLOW)

@@ -119,9 +119,9 @@ def test_any_list_of_faults_beside_a_controller_that_hears_the_further_sensors(s
 
 
 def test_a_controller_that_begins_again_knows_no_frame_of_a_sensor(tmp_path):
-    """Fifteen missing frames look like a repeated frame to a receiver that goes on."""
-    missing = {"kind": "frames-missing", "channel": "yaw-rate", "at_s": 0.05, "for_s": 0.015}
-    outage = {"kind": RESTARTED, "at_s": 0.055, "for_s": 0.01}
+    """The frame after fourteen missing ones has the counter of the last."""
+    missing = {"kind": "frames-missing", "channel": "yaw-rate", "at_s": 0.05, "for_s": 0.014}
+    outage = {"kind": RESTARTED, "at_s": 0.055, "for_s": 0.009}
     hears = ["controller.kind=tests.rig.nodes.hearing:Hearing", "sensor.0.period_s=0.001"]
     trace = compared(tmp_path, "cluster", "duration_s=0.1", *fault_list(missing, outage), *hears)
     assert len(trace.measured) == 100
