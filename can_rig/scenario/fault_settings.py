@@ -97,7 +97,7 @@ class FaultSettings:
 
     ``channel`` names the actuator, the further sensor, or the sender of the frames. ``value``,
     ``offset``, ``drift_per_s``, ``amplitude`` and ``rate_per_s`` have the unit of the failing
-    signal: N m, N, m/s², rad/s or rad. ``other`` is the sensor with which one is swapped.
+    signal: N m, N, m/s², rad/s or rad. ``other`` names the second of two swapped sensors.
     """
 
     kind: FaultKind = "none"

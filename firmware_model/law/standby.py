@@ -1,7 +1,7 @@
 """The car is slower than the lowest design: the controller stands by.
 
 A torque hardly moves D* of a slow car, and no model holds there. Both commands go to zero in a
-straight line; the decision waits, and what it has found stays.
+straight line; the decision waits, and a known fault stays known.
 
 The tick that leaves begins from what the car does: every model of the car is in the steady state
 that has D* as measured, as the car is that was turned by its driver. C is in the steady state that

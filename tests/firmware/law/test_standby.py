@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from firmware_model.analysis.sampled_plant import follow_plant, sample
 from firmware_model.firmware import Firmware
-from firmware_model.law.status import Mode
-from tests.firmware.scheduled import SPEEDS, TARGET, scheduled
+from firmware_model.law.status import FaultState, Mode
+from tests.firmware.scheduled import SPEEDS, TARGET, TICK_S, car, scheduled
 
 LOWEST = SPEEDS[0]
 TICKS = 40  # of the way to zero
@@ -79,3 +80,49 @@ def test_a_car_that_turns_at_the_end_of_standby_shows_no_fault(firmware):
     assert abs(first.fault_estimate) < 1e-9
     other = Firmware(OF.table, speeds=OF.schedule)
     assert abs(driven(other, LOWEST, 1, 0.3, 0.3)[0].fault_estimate) > 1e-3
+
+
+class Car:
+    """The model itself behind its bus, at the lowest speed."""
+
+    def __init__(self, holding=0.0):
+        plant = car(LOWEST)
+        self._sampled = sample(plant, TICK_S)
+        self._x = np.linalg.solve(plant.a, -plant.b[:, 0] * holding)
+        self._sent = (0.0, 0.0)
+        self.y = float(plant.c[0] @ self._x)
+
+    def follow(self, answer, left=1.0):
+        s, (torque, force) = self._sampled, self._sent
+        self._sent = answer.command_1, answer.command_2
+        self.y = float(follow_plant(s.phi, s.gamma, s.c, self._x, left * torque, force))
+
+
+def test_a_car_that_was_turned_by_its_driver_shows_no_fault_while_it_comes_back(firmware):
+    its = Car(holding=2.0)
+    driven(firmware, SLOW, 3 * TICKS, 0.0, its.y)
+    firmware.change_speed(LOWEST)
+    largest, begin = 0.0, its.y
+    for _ in range(300):
+        answer = firmware.step(0.0, its.y)
+        largest = max(largest, abs(answer.fault_estimate))
+        its.follow(answer)
+    assert abs(its.y) < 0.2 * abs(begin)
+    assert largest < 1e-6 * abs(begin)
+
+
+def test_a_known_loss_is_taken_over_after_a_short_standby_without_a_bump(firmware):
+    its, forces = Car(), []
+    firmware.reset(0.0)
+    for tick in range(1500):
+        answer = firmware.step(math.sin(0.01 * tick), its.y)
+        its.follow(answer, left=float(tick < 200))
+        forces.append(answer.command_2)
+    assert answer.fault_state == FaultState.CONFIRMED
+    firmware.change_speed(SLOW)
+    for _ in range(TICKS):
+        its.follow(firmware.step(1.0, its.y), left=0.0)
+    firmware.change_speed(LOWEST)
+    answer = firmware.step(1.0, its.y)
+    assert (answer.mode, answer.fault_state) == (Mode.RUN, FaultState.CONFIRMED)
+    assert abs(answer.command_2) < 0.02 * max(map(abs, forces))
