@@ -208,6 +208,8 @@ def compare(
             raise ScenarioError(f"cases = {cases!r}: must be {', '.join(CASES)}, or a mapping")
         cases = CASES[cases]
     settings = settings_of(changes)
+    if not isinstance(controllers, list | tuple):
+        raise ScenarioError(f"controllers = {controllers!r}: must be a list, as ['ours', 'pi']")
     kinds = [kind_of("controllers", each) for each in controllers]
     return compare_controllers(kinds, lambda own: _scenario(name, [*settings, *own]), cases)
 
@@ -245,8 +247,8 @@ def plot(runs: Mapping[str, RecordedRun | str | Path], signals: Sequence[str]) -
     """
     from can_rig.views.pictures import overlay  # noqa: PLC0415 (matplotlib)
 
-    if not runs or not signals or isinstance(signals, str):
-        raise LogError("plot: must have a run at least, and a list of signals")
+    if not (isinstance(runs, Mapping) and runs and isinstance(signals, list | tuple) and signals):
+        raise LogError("plot: must have runs by their names, one at least, and a list of signals")
     return overlay({name: _table(run) for name, run in runs.items()}, signals)
 
 
