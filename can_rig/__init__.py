@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         save_scenario,
         stats,
         tune,
+        verify,
     )
 
 __all__ = [
@@ -45,6 +46,7 @@ __all__ = [
     "save_scenario",
     "stats",
     "tune",
+    "verify",
 ]
 
 

@@ -20,6 +20,7 @@ ARGUMENTS: Final = {
     "--torque-noise-limit": "torque_noise_limit_nm",
     "--noise-limit": "noise_limit_n",
     "--out": "folder",
+    "--scenario NAME": "name",
     "--set ": "",
 }
 """Python's argument names for options of the command line."""

@@ -43,7 +43,11 @@ from can_rig.files import atomic
 from can_rig.logs.frames import window_of
 from can_rig.logs.reading import read_log
 from can_rig.replaying.estimator import Replayed, replay_drive, write
-from can_rig.results.source import Source, log_path
+from can_rig.replaying.replay import Comparison as OpenLoopComparison
+from can_rig.replaying.replay import OpenLoop
+from can_rig.replaying.rig_frames import recorded
+from can_rig.results.source import Source, log_path, source_of
+from can_rig.scenario.build import network_of
 from can_rig.scenario.from_python import kind_of, settings_of
 from can_rig.scenario.loading import Changes, written_by
 from can_rig.scenario.settings import Scenario
@@ -78,6 +82,7 @@ __all__ = [
     "save_scenario",
     "stats",
     "tune",
+    "verify",
 ]
 
 
@@ -203,6 +208,8 @@ def compare(
             raise ScenarioError(f"cases = {cases!r}: must be {', '.join(CASES)}, or a mapping")
         cases = CASES[cases]
     settings = settings_of(changes)
+    if not isinstance(controllers, list | tuple):
+        raise ScenarioError(f"controllers = {controllers!r}: must be a list, as ['ours', 'pi']")
     kinds = [kind_of("controllers", each) for each in controllers]
     return compare_controllers(kinds, lambda own: _scenario(name, [*settings, *own]), cases)
 
@@ -240,8 +247,8 @@ def plot(runs: Mapping[str, RecordedRun | str | Path], signals: Sequence[str]) -
     """
     from can_rig.views.pictures import overlay  # noqa: PLC0415 (matplotlib)
 
-    if not runs or not signals or isinstance(signals, str):
-        raise LogError("plot: must have a run at least, and a list of signals")
+    if not (isinstance(runs, Mapping) and runs and isinstance(signals, list | tuple) and signals):
+        raise LogError("plot: must have runs by their names, one at least, and a list of signals")
     return overlay({name: _table(run) for name, run in runs.items()}, signals)
 
 
@@ -500,13 +507,42 @@ def replay(
     if not scenario.network.signals.are_of_a_drive:
         raise ScenarioError(
             f"scenario {scenario.name}: network.signals: must name a car's signals in the log, "
-            "as yaw_rate and torque"
+            "as yaw_rate and torque; can_rig.verify replays a run of the rig"
         )
     named = dbc if isinstance(dbc, Mapping) else {} if dbc is None else {"": dbc}
     files = {str(bus): _path("dbc", file) for bus, file in named.items()}
     path = _path("log", log)
     source = Source(read_log(log_path(path), window=window_of(from_s, to_s)), scenario)
     return ReplayedDrive(replay_drive(source, files, max_age_s))
+
+
+@in_python
+def verify(
+    run: RecordedRun | str | Path, name: str | Path | None = None, changes: Changes | None = None
+) -> OpenLoopComparison:
+    """A run's log through today's controller, compared with the log as on the wire.
+
+    The result has ``identical``, ``ticks``, ``compared``, ``first_different_tick`` and ``signals``.
+
+    Args:
+        run: a run, its folder, or a log.
+        name: a scenario in place of the run's own; a log alone needs one.
+        changes: see ``load_scenario``.
+
+    Raises:
+        LogError: the log cannot be read, or has no comparable frame.
+        ScenarioError: as ``load_scenario``, or a log without a scenario.
+    """
+    path = run.folder if isinstance(run, RecordedRun) else _path("run", run)
+    scenario = None if name is None else str(_path("name", name))
+    source = source_of(path, scenario, settings_of(changes))
+    network = network_of(source.scenario)
+    answers = recorded(source.frames(), network, source.scenario) if source.is_realtime else None
+    loop = OpenLoop(source.scenario, network, recorded=answers)
+    loop.run(source.frames())
+    if not any(signal.compared for signal in loop.comparison.signals):
+        raise LogError(f"{source.log.path}: no frame of a controller in it that could be compared")
+    return loop.comparison
 
 
 def _path(argument: str, value: object) -> Path:

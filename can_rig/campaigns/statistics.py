@@ -135,8 +135,8 @@ class Summary:
         runs, failed: number of runs, and number of runs without metrics.
         reasons: reasons of failed runs, the most frequent first.
         hours: simulated.
-        false_alarms: number in ``hours``, and per hour with the exact (Poisson) interval of
-            ``CONFIDENCE``.
+        false_alarms: number, and per hour of the runs that count them, with the exact (Poisson)
+            interval of ``CONFIDENCE``.
         rates: for each requirement, and for all together.
         spreads: for each metric used by a requirement.
         worst: rows of the runs with the least margin, searched or not.
@@ -167,12 +167,14 @@ def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> 
     names = plan.settings.names
     hours = sum(s or 0.0 for s in columns["simulated_s"]) / HOUR_S
     alarms = round(sum(n or 0 for n in columns["false_alarms"]))
+    pairs = zip(columns["simulated_s"], columns["false_alarms"], strict=True)
+    counted = sum(s or 0.0 for s, n in pairs if n is not None) / HOUR_S
     low, high = poisson_interval(alarms)
     per_hour = {
         "false_alarms": alarms,
-        "per_hour": alarms / hours if hours else None,
-        "low": low / hours if hours else None,
-        "high": high / hours if hours else None,
+        "per_hour": alarms / counted if counted else None,
+        "low": low / counted if counted else None,
+        "high": high / counted if counted else None,
     }
     verdicts = {each.name: columns[f"passed.{each.name}"] for each in required}
     rates = [rate(each.name, each.text, verdicts[each.name]) for each in required]

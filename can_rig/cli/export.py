@@ -11,8 +11,9 @@ import click
 from can_rig.assessment.resolve import load
 from can_rig.cli.options import force_option, scenario_options
 from can_rig.cli.output import explain, say, show, table
-from can_rig.export.application import exported, write
+from can_rig.export.application import exported, in_precision, write
 from can_rig.export.boards import COMPILER, EMULATOR
+from can_rig.export.fmu import write_fmu
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import Precision
 
@@ -32,6 +33,13 @@ from firmware_model.law.structs import Precision
     help="Of every real number.  [default: the scenario's design.precision]",
 )
 @click.option(
+    "--fmu",
+    "as_fmu",
+    is_flag=True,
+    help="Write FOLDER/SCENARIO.fmu in place of the folder: FMI 3.0, co-simulation, with the C "
+    "sources and this machine's binary.",
+)
+@click.option(
     "--report",
     is_flag=True,
     help="Also say what it costs on emulated boards, how much of it random trials run, and what "
@@ -43,6 +51,7 @@ def command(
     settings: tuple[str, ...],
     out: Path,
     precision: Precision | None,
+    as_fmu: bool,
     report: bool,
     force: bool,
 ) -> None:
@@ -52,6 +61,11 @@ def command(
     tick. Applications call FOLDER/firmware.h; `make -C FOLDER` builds an example.
     """
     chosen = load(scenario, settings)
+    if as_fmu:
+        if report:
+            raise click.UsageError("--fmu and --report do not go together")
+        say(str(write_fmu(in_precision(chosen, precision) if precision else chosen, out, force)))
+        return
     files = exported(chosen, precision)
     write(files, out, force)
     lines = sum(text.count("\n") for name, text in files.items() if name.endswith((".c", ".h")))

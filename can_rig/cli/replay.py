@@ -298,7 +298,8 @@ def _of_drive(summary: dict[str, Any]) -> Iterator[str]:
     several = f"{len(speeds)} designs from {speeds[0]:.3g} to {speeds[-1]:.3g} m/s"
     yield (
         f"{summary['ticks']} ticks of {1e3 * summary['tick_s']:g} ms from {summary['from_s']:.3f} "
-        f"to {summary['to_s']:.3f} s: {summary['ticks_run']} RUN, {summary['ticks_blind']} BLIND; "
+        f"to {summary['to_s']:.3f} s: {summary['ticks_run']} RUN, {summary['ticks_blind']} BLIND, "
+        f"{summary['ticks_standby']} STANDBY; "
         + (several if len(speeds) > 1 else f"designed for {speeds[0]:.3g} m/s")
     )
     if summary["ticks_run"]:

@@ -28,7 +28,7 @@ struct controller_answer {
     double command_1;      /* torque of the steering motor of a car, N m */
     double command_2;      /* difference of the rear driving forces of a car, N */
     double fault_estimate; /* what the fault takes from the output */
-    int32_t mode;          /* 0 INIT, 1 RUN, 2 HOLD, 3 SAFE_STOP */
+    int32_t mode;          /* 0 STANDBY, 1 RUN, 2 BLIND, 3 SAFE_STOP */
     int32_t fault_state;   /* 0 CLEAR, 1 SUSPECTED, 2 CONFIRMED, 3 CANNOT_TELL */
     int32_t verdict;       /* 0 to 9, as Verdict of the DBC */
 };

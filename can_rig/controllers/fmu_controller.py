@@ -43,6 +43,7 @@ class FmuController:
                 chosen.parameters,
                 inputs=(*INPUTS, *self._further),
                 outputs=outputs,
+                codes=SAID[1:],
             )
         )
         self._where = f"controller.kind = {chosen.kind!r}"

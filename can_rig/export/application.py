@@ -15,7 +15,7 @@ from can_rig.export.law import HEARS, law_files, parts_of, support, zero
 from can_rig.folders import Kind, refuse_folder, whole_folder
 from can_rig.frames.codec import MessageCodec, RigLayout
 from can_rig.frames.network import Network
-from can_rig.scenario.build import dbc_of, network_of
+from can_rig.scenario.build import dbc_of, network_of, require_ours
 from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import Precision
@@ -39,6 +39,7 @@ def application(scenario: Scenario) -> dict[str, str]:
         ExportError: the law uses syntax outside the C subset, or the frames come from another
             database.
     """
+    require_ours(scenario, "the control law as C")
     network = network_of(scenario)
     if not network.is_the_rigs:
         raise ExportError(

@@ -59,6 +59,7 @@ class Request:
         parameters: the FMU's parameters, in tables.
         inputs: the keys of the inputs, in their order.
         outputs: the keys of the outputs.
+        codes: of these, the keys of outputs that may be whole numbers.
         fmi_type: the type to run; None: co-simulation where the FMU offers it.
     """
 
@@ -69,6 +70,7 @@ class Request:
     inputs: Sequence[str]
     outputs: Sequence[str]
     fmi_type: str | None = None
+    codes: Collection[str] = ()
 
 
 @dataclass(frozen=True)
@@ -206,7 +208,8 @@ class _Names:
             )
         if is_input and variable.name in flat_parameters(self._request.parameters):
             raise ScenarioError(f"{here}: must not stand in {self._request.table}.parameters too")
-        allowed = REAL if is_input or is_output else NUMBERS
+        is_real = (is_input or is_output) and key not in self._request.codes
+        allowed = REAL if is_real else NUMBERS
         if variable.type not in allowed or variable.shape:
             shape = " array" if variable.shape else ""
             wanted = "a floating-point number" if allowed is REAL else "a number"

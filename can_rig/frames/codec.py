@@ -269,22 +269,26 @@ class Hearing:
     ) -> None:
         self.receivers: Final = tuple(Receiver(codec) for codec in codecs)
         self._timings, self._names = timings, names
-        self._by_id = {codec.frame_id: at for at, codec in enumerate(codecs)}
+        self._ids = {codec.frame_id for codec in codecs}
         self._now = nothing_heard(names)
 
     def concerns(self, message: Message) -> bool:
         """Whether ``message`` has the identifier of a further sensor."""
-        return message.arbitration_id in self._by_id
+        return message.arbitration_id in self._ids
 
     def take(self, message: Message, tick: int | None) -> None:
-        """Take in a frame of ``tick``; None: of any. A frame marked invalid has no value."""
-        at = self._by_id[message.arbitration_id]
-        record = self.receivers[at].accept(message, tick)
-        if record is None:
-            return
-        name = self._names[at]
-        self._now[name] = record.value if record.mode else math.nan
-        self._now[name + AGE] = (record.tick - record.verdict) % (1 << SAMPLE_BITS)
+        """Take in a frame of ``tick``; None: of any. A frame marked invalid has no value.
+
+        A frame of a foreign database says neither a validity nor the tick of its sample.
+        """
+        for name, receiver in zip(self._names, self.receivers, strict=True):
+            if receiver.codec.frame_id != message.arbitration_id:
+                continue
+            record, says = receiver.accept(message, tick), receiver.codec.modes
+            if record is not None:
+                self._now[name] = record.value if record.mode or not says else math.nan
+                age = (record.tick - record.verdict) % (1 << SAMPLE_BITS)
+                self._now[name + AGE] = age if says else math.nan
 
     def end_tick(self, tick: int) -> Mapping[str, float]:
         """What ``tick`` has brought: value and age of the sample, not a number where none came."""

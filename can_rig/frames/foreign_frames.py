@@ -1,4 +1,4 @@
-"""The five frames of a tick in a foreign database, by the signal of each role.
+"""The frames of a tick in a foreign database, by the signal of each role.
 
 cantools reads the database in any format, and packs and unpacks the frames. Each role needs a
 separate message and a representable 0; the layout is free.
@@ -13,7 +13,7 @@ from __future__ import annotations
 import difflib
 import math
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -79,12 +79,15 @@ class AnyLayout:
         message: of the database.
         places: the message's mapped signals; all other signals send their initial value, or raw 0.
         where: begins the line of a refusal.
+        mirrored: whether the value has the other sign.
 
     Raises:
         DbcError: a message too long for a frame, a signal unusable for the rig.
     """
 
-    def __init__(self, message: Message, places: Places, where: Where) -> None:
+    def __init__(
+        self, message: Message, places: Places, where: Where, mirrored: bool = False
+    ) -> None:
         self._message, self._places = message, places
         self.has_tick: Final = places.tick is not None
         self.length: Final = _frame_length(message, where)
@@ -92,8 +95,8 @@ class AnyLayout:
             if signal is not None and signal.multiplexer_ids:
                 raise DbcError(f"{where.of(signal)} is multiplexed: must be in every frame")
         self._from_zero = 0 if is_float(places.value) else _steps_to_zero(places.value, where)
-        self._sign = -1 if places.value.scale < 0 else 1
-        self._rest = {s.name: _initial(message, s) for s in message.signals}
+        self._sign = -1 if (places.value.scale < 0) != mirrored else 1
+        self._rest: dict[str, int | float] = {s.name: _initial(message, s) for s in message.signals}
         if places.tick is not None:
             _require_counter(places.tick, where)
             self._tick_mask = (1 << places.tick.length) - 1
@@ -104,6 +107,10 @@ class AnyLayout:
                     f"{where.of(code)}: must be an integer of at least {bits} bits, factor 1, "
                     "offset 0"
                 )
+
+    def share(self, other: AnyLayout) -> None:
+        """Pack a frame together with ``other``, of the same message: each sends both values."""
+        self._rest = other._rest
 
     def pack(self, k: float, tick: int, mode: int, fault_state: int, verdict: int) -> bytearray:
         """The bytes of a frame, including the initial values of unmapped signals."""
@@ -244,7 +251,7 @@ def _initial(message: Message, signal: Signal) -> int | float:
 
 STATUS = "fault_estimate"  # the key of the status message's value
 WORDS = {
-    "mode": {0: "INIT", 1: "RUN", 2: "BLIND", 3: "SAFE_STOP"},
+    "mode": {0: "STANDBY", 1: "RUN", 2: "BLIND", 3: "SAFE_STOP"},
     "fault_state": {0: "CLEAR", 1: "SUSPECTED", 2: "CONFIRMED", 3: "CANNOT_TELL"},
     "verdict": {int(verdict): verdict.name for verdict in Verdict},
 }
@@ -265,6 +272,8 @@ class Roles:
     signals: Mapping[str, str]
     tick: str | Mapping[str, str] = ""
     data_ids: Mapping[str, int] = field(default_factory=dict)
+    sensors: Mapping[str, tuple[str, Callable[[str], float]]] = field(default_factory=dict)
+    """By role of a further sensor ``Message.Signal``, and the factor for a unit of the database."""
 
 
 def map_network(path: str | Path, mapping: Roles) -> Network:
@@ -274,14 +283,13 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
         DbcError: an unknown database, message or signal, two roles for one message or signal, a
             signal too small for its role.
     """
-    used = {name.partition(".")[0] for name in mapping.signals.values()}
-    database = load_for(path, used)
-    found = {
-        key: _signal(database, path, key, name) for key, name in mapping.signals.items() if name
-    }
+    signals = {**mapping.signals, **{role: name for role, (name, _) in mapping.sensors.items()}}
+    database = load_for(path, {name.partition(".")[0] for name in signals.values()})
+    found = {key: _signal(database, path, key, name) for key, name in signals.items() if name}
     codecs: list[MessageCodec] = []
     by_id: dict[int, str] = {}
-    for role in ROLES:
+    layouts: dict[int, AnyLayout] = {}
+    for role in (*ROLES, *mapping.sensors):
         key = STATUS if role == "status" else role
         message, value = found[key]
         codes = {code: found[code][1] for code in CODES if role == "status" and code in found}
@@ -292,21 +300,36 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
                     f"{message.name}, with the fault estimate"
                 )
         other = by_id.setdefault(message.frame_id, role)
-        if other != role:
+        if other != role and not {role, other} <= mapping.sensors.keys():
             raise DbcError(
                 f"network.signals: {other} and {role} both have identifier "
                 f"0x{message.frame_id:X} ({message.name}): each must have a message of its own"
             )
-        tick = _tick(message, role, mapping.tick, path)
+        factor = 1.0
+        if role in mapping.sensors:
+            tick = next((each for each in message.signals if each.name == mapping.tick), None)
+            factor = mapping.sensors[role][1](value.unit or "")
+        else:
+            tick = _tick(message, role, mapping.tick, path)
         tick_key = "tick" if isinstance(mapping.tick, str) else f"ticks.{role}"
         played = {f"network.signals.{each}": found[each][1] for each in (key, *codes)}
         played |= {} if tick is None else {f"network.{tick_key}": tick}
         where = Where(f"{path}: message {message.name}", _keys_by_signal(message, played))
-        layout = AnyLayout(message, Places(value, tick, **codes), where)
+        layout = AnyLayout(message, Places(value, tick, **codes), where, factor < 0.0)
+        layout.share(layouts.setdefault(message.frame_id, layout))
+        if other != role:
+            _keys_by_signal(message, {**played, f"network.signals.{other}": found[other][1]})
         data_id = mapping.data_ids.get(role)
+        if data_id != mapping.data_ids.get(other):
+            raise DbcError(
+                f"network.data_ids.{role}: must be that of {other}, which {message.name} has too"
+            )
         if data_id is not None:
             _require_room(message, (value, tick, *codes.values()), where)
         scale = scale_of(value, where)
+        if factor != 1.0 and scale.float_format:
+            raise DbcError(f"{where.of(value)} is a float: must have the unit of its role")
+        lsb = scale.lsb * abs(factor)
         words = {code: words_of(signal) or WORDS[code] for code, signal in codes.items()}
         codecs.append(
             MessageCodec(
@@ -318,11 +341,11 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
                 cycle_time_ms=message.cycle_time,
                 signal_name=value.name,
                 unit=value.unit or "",
-                lsb=scale.lsb,
+                lsb=lsb,
                 raw_minimum=-scale.raw_maximum,
                 raw_maximum=scale.raw_maximum,
-                minimum=-scale.raw_maximum * (scale.lsb or 1.0),
-                maximum=scale.raw_maximum * (scale.lsb or 1.0),
+                minimum=-scale.raw_maximum * (lsb or 1.0),
+                maximum=scale.raw_maximum * (lsb or 1.0),
                 modes=words.get("mode", {}),
                 fault_states=words.get("fault_state", {}),
                 verdicts=words.get("verdict", {}),
@@ -339,8 +362,10 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
         for message in database.messages
         if message.frame_id in by_id and message.name not in ours
     )
-    reference, feedback, command_1, command_2, status = codecs
-    network = Network(reference, feedback, command_1, command_2, status, collisions)
+    reference, feedback, command_1, command_2, status, *witnesses = codecs
+    network = Network(
+        reference, feedback, command_1, command_2, status, collisions, witnesses=tuple(witnesses)
+    )
     require_distinct_data_ids(network, path)
     return network
 

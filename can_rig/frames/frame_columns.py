@@ -116,22 +116,20 @@ def _words(
         )  # fmt: skip
 
 
-IDENTIFIER, CRC, MODE_SHIFT, FAULT_STATE_SHIFT, VERDICT_BITS, MODE_MASK, FAULT_STATE_MASK = range(7)
+IDENTIFIER, CRC, MODE_SHIFT, FAULT_STATE_SHIFT, VERDICT_BITS = range(5)
 """Columns of the whole numbers of ``constants``."""
 
 _NO_MODE: Final = -1
 
 
 def constants(codecs: Sequence[MessageCodec]) -> tuple[Any, Any]:
-    """Whole numbers (n, 7) and scales (n, 6) of frames with the rig's layout."""
+    """Whole numbers (n, 5) and scales (n, 6) of frames of every tick, with the rig's layout."""
     whole, scales = [], []
     for codec in codecs:
         layout, data_id = codec.layout, codec.data_id
         assert isinstance(layout, RigLayout) and data_id is not None
         shifts = layout.shifts if layout.has_status else (_NO_MODE, _NO_MODE)
-        whole.append(
-            [codec.frame_id, crc_of_id(data_id), *shifts, layout.verdict_bits, *layout.masks]
-        )
+        whole.append([codec.frame_id, crc_of_id(data_id), *shifts, layout.verdict_bits])
         scales.append([
             codec.lsb, codec.minimum, codec.maximum, codec.raw_minimum, codec.raw_maximum,
             codec.not_available,
@@ -156,9 +154,8 @@ def frame_word(
     raw = int(raw_value(value, lsb, minimum, maximum, raw_minimum, raw_maximum, not_available))
     bits = counter
     if codecs[row, MODE_SHIFT] != _NO_MODE:
-        mode, fault_state = max(mode, 0), max(fault_state, 0)
-        bits |= min(mode, codecs[row, MODE_MASK]) << codecs[row, MODE_SHIFT]
-        bits |= min(fault_state, codecs[row, FAULT_STATE_MASK]) << codecs[row, FAULT_STATE_SHIFT]
+        bits |= min(max(mode, 0), 3) << codecs[row, MODE_SHIFT]
+        bits |= min(max(fault_state, 0), 3) << codecs[row, FAULT_STATE_SHIFT]
     spare = codecs[row, VERDICT_BITS]
     raw = raw << spare | min(max(verdict, 0), (1 << spare) - 1)
     data = raw << 32 | (tick & 0xFFFF) << 16 | bits << 8

@@ -87,6 +87,12 @@ class Network:
         return (self.command_1, self.command_2, self.feedback, *self.witnesses)
 
     @property
+    def senders(self) -> tuple[int, ...]:
+        """For each of ``can_fail``, the number of the last that has the same message."""
+        last = {codec.frame_id: at for at, codec in enumerate(self.can_fail)}
+        return tuple(last[codec.frame_id] for codec in self.can_fail)
+
+    @property
     def offered(self) -> int:
         """How many frames the plant node sends in every tick, before the controller's."""
         return len(self.inputs)
@@ -114,7 +120,10 @@ class Network:
     @property
     def identifiers(self) -> tuple[int, ...]:
         """CAN identifiers in bus order; with bit 31 set for 29 bits."""
-        return tuple(codec.frame_id | codec.extended * EXTENDED_FLAG for codec in self.on_the_bus)
+        frames = self.on_the_bus
+        return tuple(
+            dict.fromkeys(codec.frame_id | codec.extended * EXTENDED_FLAG for codec in frames)
+        )
 
 
 def load_network(
@@ -211,7 +220,7 @@ def require_distinct_data_ids(network: Network, path: str | Path) -> None:
         frame = bytearray(FRAME_BYTES)
         Protector(codec.data_id).protect(frame)
         other = by_crc.setdefault(frame[0], codec)
-        if other is not codec:
+        if other.frame_id != codec.frame_id:
             raise DbcError(
                 f"{path}: messages {other.name} and {codec.name}: E2EDataId {other.data_id} and "
                 f"{codec.data_id} give the same CRC, so that either passes as the other; change one"

@@ -105,7 +105,7 @@ class PlantEnd:
         self._send_speed = None if network.speed is None else Transmitter(network.speed)
         self._speeds = np.empty(0) if network.speed is None else speeds_at_ticks(scenario)
         self._faults = FrameFaults(scenario, network, changing)
-        self._witnesses = SensorFrames(network.witnesses, self._faults)
+        self._witnesses = SensorFrames(network, self._faults)
         self._receivers = tuple(
             Receiver(codec) for codec in (network.command_1, network.command_2, network.status)
         )

@@ -14,7 +14,7 @@ import can
 import numpy as np
 
 from can_rig.assessment.frame_length import FrameError, worst_case_bits
-from can_rig.drawing.names import names_of
+from can_rig.drawing.names import names_of, printed, with_unit
 from can_rig.drawing.thinning import BUCKET_S, Decimator
 from can_rig.errors import one_line
 from can_rig.frames import operator_frames
@@ -75,6 +75,8 @@ class Lamps:
     ticks_per_s: float = 0.0
     speed_mps: float | None = None
     """Of the car, where a frame says it."""
+    sensors: dict[str, float | None] = field(default_factory=dict)
+    """The last value of each further sensor by its name and unit; None: not valid."""
     injectable: bool = False
     paused: bool = False
     pace: float = 0.0
@@ -141,9 +143,9 @@ class LiveSignals:
 
     def __init__(self, scenario: Scenario, network: Network) -> None:
         self._scenario = scenario
-        self._reasoning: Reasoning | None = Reasoning(scenario, network)
-        self.confirm: Final = self._reasoning.confirm
-        """The evidence that confirms a loss."""
+        self._reasoning = Reasoning(scenario, network) if scenario.controller.is_ours else None
+        self.confirm: Final = None if self._reasoning is None else self._reasoning.confirm
+        """The evidence that confirms a loss; None: a controller of one's own, which says none."""
         self._lsbs = network.command_1.lsb, network.command_2.lsb
         self._next_tick = 0
         self._status = network.status
@@ -157,6 +159,8 @@ class LiveSignals:
             getattr(network, role).frame_id: node for node, roles in ENDS.items() for role in roles
         }
         self._speed = None if network.speed is None else Receiver(network.speed)
+        self._witnesses = [Receiver(codec) for codec in network.witnesses]
+        self._of_sensors = {codec.frame_id for codec in network.witnesses}
         identifiers = operator_frames.identifiers()
         self._applied_id, self._taken_id = identifiers.applied, identifiers.taken
         self._applied: dict[int, tuple[float, float]] = {}
@@ -201,6 +205,10 @@ class LiveSignals:
             said = self._speed.accept(message)
             if said is not None and math.isfinite(said.value):
                 self.lamps.speed_mps = said.value
+        elif message.arbitration_id in self._of_sensors:
+            for receiver in self._witnesses:
+                if receiver.codec.frame_id == message.arbitration_id:
+                    self._hear_sensor(receiver, message)
         elif message.arbitration_id == self._applied_id:
             applied = operator_frames.read_applied(message)
             if applied is not None:
@@ -211,6 +219,13 @@ class LiveSignals:
                 return  # a damaged frame or an unknown fault
             # the command's frame precedes the frames of the tick in which the command takes effect
             self._taken.append(((self._rows.tick + 1) * self._scenario.tick_s, numbered[1]))
+
+    def _hear_sensor(self, receiver: Receiver, message: can.Message) -> None:
+        codec, said = receiver.codec, receiver.accept(message)
+        if said is not None:
+            valid = math.isfinite(said.value) and (said.mode or not codec.modes)
+            name = with_unit(codec.role.replace("_", " "), printed(codec.unit))
+            self.lamps.sensors[name] = said.value if valid else None
 
     def _hear_state(self, message: can.Message) -> None:
         self.state = operator_frames.read_state(message) or self.state

@@ -5,6 +5,7 @@ Every loop takes the same compiled ``sense``, so each says the same bits.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -172,26 +173,28 @@ class SensorFrames:
     """The frames of the further sensors on the bus.
 
     Args:
-        codecs: of the sensors.
+        network: of the run. The last sensor of a message sends the values of all its sensors.
         faults: of the frames.
     """
 
-    def __init__(self, codecs: Sequence[MessageCodec], faults: FrameFaults) -> None:
-        self._senders = [Transmitter(codec) for codec in codecs]
+    def __init__(self, network: Network, faults: FrameFaults) -> None:
+        self._senders = [Transmitter(codec) for codec in network.witnesses]
+        self._places = sorted({place for place in network.senders if place > SENSOR_PLACE})
         self._faults = faults
 
     def of(self, said: Sequence[Said], tick: int) -> list[Message]:
         """The frames of a tick in which the sensors say this."""
         own = {
-            each.sensor: self._senders[each.sensor].frame(
-                each.value, tick, int(each.valid), 0, each.sample_tick % SAMPLE_TICKS
+            SENSOR_PLACE + 1 + each.sensor: self._senders[each.sensor].frame(
+                each.value if each.valid or self._senders[each.sensor].codec.modes else math.nan,
+                tick, int(each.valid), 0, each.sample_tick % SAMPLE_TICKS,
             )
             for each in said
-        }
+        }  # fmt: skip
         return [
             frame
-            for at in range(len(self._senders))
-            for frame in self._faults.on_the_wire(own.get(at), SENSOR_PLACE + 1 + at, tick)
+            for place in self._places
+            for frame in self._faults.on_the_wire(own.get(place), place, tick)
         ]
 
 
@@ -215,7 +218,7 @@ class Sensed:
         self._plant, self._tick = plant, 0
         codecs = network.witnesses
         self._senses = SensesByTick(scenario, codecs, PlantFaults(scenario).latest_ticks)
-        self._frames = SensorFrames(codecs, FrameFaults(scenario, network))
+        self._frames = SensorFrames(network, FrameFaults(scenario, network))
         self._powered_up = partial(hearing_of, scenario, network)
         self.witnesses, self.follow = plant.witnesses, plant.follow
         """See ``PlantBehind``."""

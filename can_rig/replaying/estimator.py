@@ -12,7 +12,8 @@ The controller's own commands are what it would have sent, and act on nothing. W
 in the log, the reference is D* itself: then the torque command follows the torque that would make
 the model move as the car did.
 
-Where the log has the speed, the design follows the speed. Ticks below the lowest design are BLIND.
+Where the log has the speed, the design follows the speed. Below the lowest design the
+controller is in STANDBY.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from can_rig.files import PICTURES, atomic, refuse_existing
 from can_rig.logs.frames import NS_PER_S
 from can_rig.replaying.recorded_drive import Buses, Drive, recorded_drive
 from can_rig.results.source import Reading, Source
+from can_rig.scenario.build import require_ours
 from can_rig.scenario.driving import controls, design_speeds
 from can_rig.scenario.log_signals import MPS2, NM, ROLES, N
 from can_rig.scenario.settings import (
@@ -54,6 +56,9 @@ the designs."""
 
 TOO_RARE: Final = 1.5
 """Ticks between two samples of D* from which on the decision may take a sensor for frozen."""
+
+OPPOSITE: Final = -0.2
+"""Correlation of two witnesses of one turn from which on down their signs are opposite."""
 
 STEADY: Final = 1.02
 """Speeds within this ratio have one design."""
@@ -114,15 +119,28 @@ class Replayed:
         ]
 
     def notes(self) -> list[str]:
-        """Lines about samples that are too rare for the tick."""
+        """Lines about samples too rare for the tick, and about witnesses that contradict."""
+        has, said = self.drive.columns, []
+        if {"yaw_rate", "lateral_acceleration", "speed"} <= has.keys():
+            turned, felt = has["yaw_rate"] * has["speed"], has["lateral_acceleration"]
+            both = np.isfinite(turned) & np.isfinite(felt)
+            with np.errstate(invalid="ignore"):  # one that never changes
+                alike = np.corrcoef(turned[both], felt[both])[0, 1] if both.any() else 1.0
+            if alike < OPPOSITE:
+                said.append(
+                    f"yaw rate times speed and lateral acceleration have opposite signs "
+                    f"(correlation {alike:.2f}): one of them must have factor = -1, as a sensor "
+                    "with the other direction, or D* is wrong"
+                )
         of_output = {"feedback", "yaw_rate", "lateral_acceleration"}
         periods = [each.period_s for each in self.drive.samples if each.role in of_output]
         if max(periods) <= TOO_RARE * self.scenario.tick_s:
-            return []
+            return said
         return [
+            *said,
             f"D* has a new sample every {1e3 * max(periods):.3g} ms only, and the tick is "
             f"{1e3 * self.scenario.tick_s:g} ms: repeated samples look like a frozen sensor; "
-            "choose a scenario with a longer tick"
+            "choose a scenario with a longer tick",
         ]
 
     def summary(self) -> dict[str, Any]:
@@ -136,6 +154,7 @@ class Replayed:
             "ticks": len(self.columns),
             "ticks_run": int(running.sum()),
             "ticks_blind": int((mode == Mode.BLIND).sum()),
+            "ticks_standby": int((mode == Mode.STANDBY).sum()),
             "from_s": float(self.time_s[0]),
             "to_s": float(self.time_s[-1]),
             "design_speeds_mps": list(self.design_speeds_mps),
@@ -211,6 +230,7 @@ def replay_drive(
     """
     if max_age_s is not None and not 0.0 < max_age_s < math.inf:
         raise LogError(f"max age = {max_age_s:g} s: must be above 0")
+    require_ours(source.scenario, "a recorded drive through the estimator")
     drive = recorded_drive(source, dbc, max_age_s, reading)
     scenario = _scenario_of(source.scenario, drive)
     of = controls(scenario, None)
@@ -223,9 +243,8 @@ def replay_drive(
     speed = drive.columns.get("speed", np.full(len(y), math.nan))
     reference = drive.columns.get("reference", y)
     known = np.isfinite(y) & np.isfinite(u1) & np.isfinite(u2) & np.isfinite(reference)
-    if "speed" in drive.columns:
-        known &= speed >= speeds[0] * (1.0 - 1e-9)
-    if not known.any():
+    moves = known & ~(speed < speeds[0] * (1.0 - 1e-9))
+    if not moves.any():
         raise LogError(
             f"{source.log.path}: no tick has all of its inputs at a speed of {speeds[0]:.3g} m/s "
             "or above"
@@ -233,7 +252,7 @@ def replay_drive(
     firmware = Firmware(of.table, speeds=of.schedule)
     answers = np.empty((len(y), 6))
     with counting(len(y)) as progress:
-        first = int(np.argmax(known))
+        first = int(np.argmax(moves))
         firmware.change_speed(float(speed[first]))
         firmware.step(math.nan, math.nan)
         firmware.reset(float(y[first]))

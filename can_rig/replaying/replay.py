@@ -19,6 +19,7 @@ from typing import Any, Final
 
 import can
 
+from can_rig.controllers.making import PEER
 from can_rig.controllers.our_law import PYTHON
 from can_rig.controllers.protocol import InNode
 from can_rig.errors import LogError
@@ -32,6 +33,7 @@ from can_rig.replaying.rig_frames import (
     SPEED_ROLE,
     Recorded,
     RigFrame,
+    codecs_of,
     is_input,
     rig_frames,
 )
@@ -209,7 +211,7 @@ class OpenLoop:
     Args:
         scenario: the controller's scenario; its frame faults are ignored, the log contains its own.
         network: the frames.
-        controller: starts the controller.
+        controller: starts the controller; None: that of the scenario.
         recorded: the answers of a run in real time; None: a run in lockstep.
 
     Raises:
@@ -220,18 +222,18 @@ class OpenLoop:
         self,
         scenario: Scenario,
         network: Network,
-        controller: InNode = PYTHON,
+        controller: InNode | None = None,
         recorded: Recorded | None = None,
     ) -> None:
         self._tick_s = scenario.tick_s
         self._network = network
-        self._codecs = network.by_role
+        self._codecs = codecs_of(network)
         self._sent: list[bytes] = []
         self._node = ControllerNode(
             replace(scenario, fault=tuple(f for f in scenario.faults if f.kind == RESTARTED)),
             network,
             lambda message: self._sent.append(bytes(message.data)),
-            controller,
+            controller or (PYTHON if scenario.controller.is_ours else PEER),
             recorded,
         )
         self.account: Final = Account(network, scenario.tick_ns, scenario.outages)
@@ -260,6 +262,9 @@ class OpenLoop:
         time_ns = 0
         for frame, following in _with_following(rig_frames(chunks, self._network)):
             time_ns = frame.time_ns
+            if frame.role > SPEED_ROLE:  # of a further sensor: heard, and not accounted for
+                self._serve(frame)
+                continue
             if self.first_tick is None:
                 self._make_contact(frame)
                 continue

@@ -32,19 +32,26 @@ INPUTS: Final = 2
 """Number of the first roles, reference and feedback; the roles of the answer follow."""
 
 SPEED_ROLE: Final = len(ROLES)
-"""Role of the speed, which precedes both inputs in networks with a speed frame."""
+"""Role of the speed, which precedes both inputs in networks with a speed frame; the roles of
+further sensors follow."""
 
 
 def is_input(role: int) -> bool:
     """Whether the frame is an input of the controller, and not part of the answer."""
-    return role < INPUTS or role == SPEED_ROLE
+    return role < INPUTS or role >= SPEED_ROLE
+
+
+def codecs_of(network: Network) -> dict[int, MessageCodec]:
+    """The frames of ``network`` by role."""
+    further = enumerate(network.witnesses, SPEED_ROLE + 1)
+    return {**dict(enumerate(network.by_role)), **dict(further)}
 
 
 class RigFrame(NamedTuple):
     """One frame of the network in a log."""
 
     role: int
-    """An index of `codec.ROLES`, or ``SPEED_ROLE``."""
+    """An index of `codec.ROLES`, ``SPEED_ROLE``, or a further sensor behind."""
     time_ns: int
     """Time stamp; see `Frames.time_ns`."""
     data: bytes
@@ -57,9 +64,9 @@ class RigFrame(NamedTuple):
 
 def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]:
     """The frames of ``network`` in a log, in order."""
-    roles = {codec.frame_id: role for role, codec in enumerate(network.by_role)}
+    codecs = codecs_of(network)
+    roles = {codec.frame_id: role for role, codec in codecs.items()}
     identifiers = np.array(sorted(roles), dtype=np.uint32)
-    data_ids = [codec.data_id for codec in network.by_role]
     if not network.is_the_rigs:
         yield from _of_any_layout(chunks, network, roles)
         return
@@ -68,10 +75,10 @@ def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]
         frames = chunk if ours.all() else chunk[ours]
         role = np.array([roles[i] for i in frames.arbitration_id.tolist()], dtype=np.int64)
         intact = np.zeros(len(frames), dtype=np.bool_)
-        for at, data_id in enumerate(data_ids):
+        for at, codec in codecs.items():
             rows = role == at
-            assert data_id is not None
-            intact[rows] = intact_rows(frames.data[rows], frames.length[rows], data_id)
+            assert codec.data_id is not None
+            intact[rows] = intact_rows(frames.data[rows], frames.length[rows], codec.data_id)
         data = frames.data
         tick = ticks_on(data)
         whole = data[:, :FRAME_BYTES].tobytes()
@@ -100,7 +107,7 @@ def _of_any_layout(
     Frames without a tick are counted: a reference or a feedback belongs to the tick after the last
     frame of the same message, an answer to the tick of the last feedback.
     """
-    codecs = tuple(network)
+    codecs = codecs_of(network)
     counted = [-1] * INPUTS
     identifiers = np.array(sorted(roles), dtype=np.uint32)
     for chunk in chunks:

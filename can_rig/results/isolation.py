@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final
@@ -133,7 +134,8 @@ NO_FAULT: Final = (Verdict.NOTHING, Verdict.ANOTHER_CAR)
 def whose_fault(scenario: Scenario, signals: Signals) -> dict[str, dict[str, Any]]:
     """Each verdict of a fault by name, with begin and duration in s.
 
-    The evidence of each hypothesis is from the first tick of the verdict.
+    The evidence of each hypothesis is from the first tick of the verdict; a controller of one's
+    own says none.
     """
     codes = signals.whose_fault[VERDICT]
     found = {}
@@ -145,8 +147,9 @@ def whose_fault(scenario: Scenario, signals: Signals) -> dict[str, dict[str, Any
                 "since_s": round(float(signals.time_s[first]), 9),
                 "for_s": round(len(rows) * scenario.tick_s, 9),
                 "evidence": {
-                    name.removeprefix("evidence_"): float(signals.whose_fault[name][first])
+                    name.removeprefix("evidence_"): value
                     for name in EVIDENCE
+                    if not math.isnan(value := float(signals.whose_fault[name][first]))
                 },
             }
     return found

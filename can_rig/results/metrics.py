@@ -379,7 +379,7 @@ def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | 
 
     With several losses, any missed loss counts, and the longest delay. A false alarm is a
     confirmation that begins while no sample can show a loss of the torque; suspicions are counted
-    by the same rule.
+    by the same rule. A controller that says no fault state has none of these figures.
     """
     losses = range(len(scenario.faults))
     found = [detection_of(scenario, signals, at) for at in losses]
@@ -393,14 +393,21 @@ def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | 
     healthy_h = float((~lost).sum()) * scenario.tick_s / HOUR_S
     confirmed, suspected = _claims(signals, TORQUE), _suspicions(signals)
     alarms = int((_begins(confirmed) & ~shown).sum())
+    says = _says(scenario, signals.fault_state) and len(signals) > 0
     return {
         "suspected_after_s": max(suspected_s, default=None),
         "detection_delay_s": None if True in missed else max(delay_s, default=None),
         "missed_detection": any(missed) if missed else None,
-        "suspicions": int((_begins(suspected) & ~shown).sum()) if len(signals) else None,
-        "false_alarms": alarms if len(signals) else None,
-        "false_alarms_per_hour": alarms / healthy_h if healthy_h > 0.0 else None,
+        "suspicions": int((_begins(suspected) & ~shown).sum()) if says else None,
+        "false_alarms": alarms if says else None,
+        "false_alarms_per_hour": alarms / healthy_h if says and healthy_h > 0.0 else None,
     }
+
+
+def _says(scenario: Scenario, codes: FloatArray | None) -> bool:
+    """Whether the controller says these codes; the rig's own law does, perhaps in lost frames."""
+    known = codes is not None and bool(np.isfinite(codes).any())
+    return known or scenario.controller.is_ours
 
 
 def torque_lost(scenario: Scenario, signals: Signals) -> Mask:
@@ -423,7 +430,8 @@ def detection_of(scenario: Scenario, signals: Signals, at: int) -> Detection:
     """
     fault = scenario.faults[at]
     shown = _shown(scenario, signals, fault)
-    if not fault.loses_a_channel or not shown.any():
+    codes = signals.fault_state if fault.place == TORQUE else signals.verdict
+    if not fault.loses_a_channel or not shown.any() or not _says(scenario, codes):
         return Detection()
     said = _claims(signals, fault.place)
     found = _own(said, shown)
@@ -631,7 +639,7 @@ def _placed(scenario: Scenario, signals: Signals) -> dict[str, bool | str | None
     """Where the faults are, the longest verdict since the first fault, and its truth."""
     faulty = {fault.place for fault in scenario.faults}
     place = " and ".join(sorted(faulty)) or "nothing" if len(signals) else None
-    if signals.verdict is None or not len(signals):
+    if signals.verdict is None or not len(signals) or not _says(scenario, signals.verdict):
         return {"place": place, "verdict": None, "right_place": None, "wrong_place": None}
     first = min((fault.at_s for fault in scenario.faults), default=0.0)
     counts = np.zeros(len(Verdict), dtype=np.int64)

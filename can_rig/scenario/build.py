@@ -13,6 +13,7 @@ from can_rig.frames.databases import shipped_dbc
 from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network, load_network
 from can_rig.scenario.box import in_box, uncertain, with_lags
+from can_rig.scenario.log_signals import OF_SENSORS, LogSignal, known_units, terms, unit_factor
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
@@ -45,14 +46,28 @@ def network_of(scenario: Scenario) -> Network:
         ScenarioError: a fault that these frames cannot represent.
     """
     chosen = scenario.network
+    periods = tuple(each.timing(scenario.tick_s)[0] for each in scenario.sensors)
     if not chosen.signals.of_frames:
         roles = tuple(each.role for each in scenario.sensors)
         network = _network(dbc_of(scenario), scenario.drive.is_given, roles)
-        periods = tuple(each.timing(scenario.tick_s)[0] for each in scenario.sensors)
         return replace(network, periods=periods) if periods else network
     data_ids = {role: number for role, number in asdict(chosen.data_ids).items() if number}
     ticks = asdict(chosen.ticks) if chosen.ticks else chosen.tick
-    network = map_network(chosen.dbc, Roles(chosen.signals.of_frames, ticks, data_ids))
+    sensors = {
+        each.role: _of_sensor(scenario, each.role, getattr(chosen.signals, each.role))
+        for each in scenario.sensors
+    }
+    network = map_network(chosen.dbc, Roles(chosen.signals.of_frames, ticks, data_ids, sensors))
+    network = replace(network, periods=periods)
+    timings: dict[int, tuple[str, tuple[int, ...]]] = {}
+    for each, codec in zip(scenario.sensors, network.witnesses, strict=True):
+        timing = each.timing(scenario.tick_s)[:2]
+        other, its = timings.setdefault(codec.frame_id, (each.measures, timing))
+        if its != timing:
+            raise ScenarioError(
+                f"scenario {scenario.name}: sensor {each.measures!r}: must have the period_s and "
+                f"phase_s of {other!r}, which is in message {codec.name} too"
+            )
     for fault in scenario.faults:
         if fault.kind != "frames-corrupted":
             continue
@@ -64,6 +79,45 @@ def network_of(scenario: Scenario) -> Network:
                 "is corrupted"
             )
     return network
+
+
+def _of_sensor(
+    scenario: Scenario, role: str, given: str | tuple[LogSignal, ...]
+) -> tuple[str, Callable[[str], float]]:
+    """The signal of a further sensor, and the factor from a unit of the database to the role's.
+
+    Raises:
+        ScenarioError: what a frame cannot be made of; the function raises it for a unit.
+    """
+    listed = terms(given)
+    where = f"scenario {scenario.name}: network.signals.{role}"
+    if len(listed) != 1 or listed[0].sign or listed[0].bus or listed[0].offset:
+        raise ScenarioError(f"{where}: must be one signal, with unit and factor at most, in a run")
+    (of,) = listed
+
+    def factor(unit: str) -> float:
+        unit = of.unit or unit
+        found = unit_factor(OF_SENSORS[role], unit)
+        if found is None:
+            said = f"unit {unit!r}" if unit else "no unit"
+            known = known_units(OF_SENSORS[role])
+            raise ScenarioError(f"{where}: has {said}; must be a table with unit = one of {known}")
+        return found * of.factor
+
+    return of.signal, factor
+
+
+def require_ours(scenario: Scenario, what: str) -> None:
+    """Refuse a controller of another kind for ``what``, which is about the rig's own law.
+
+    Raises:
+        ScenarioError: the kind.
+    """
+    if not scenario.controller.is_ours:
+        raise ScenarioError(
+            f"scenario {scenario.name}: controller.kind = {scenario.controller.kind!r}: must be "
+            f"'ours' for {what}"
+        )
 
 
 def dbc_of(scenario: Scenario) -> Path:

@@ -97,7 +97,7 @@ class FaultSettings:
 
     ``channel`` names the actuator, the further sensor, or the sender of the frames. ``value``,
     ``offset``, ``drift_per_s``, ``amplitude`` and ``rate_per_s`` have the unit of the failing
-    signal: N m, N, m/s², rad/s or rad. ``other`` is the sensor with which one is swapped.
+    signal: N m, N, m/s², rad/s or rad. ``other`` names the second of two swapped sensors.
     """
 
     kind: FaultKind = "none"
@@ -131,8 +131,9 @@ class FaultSettings:
                 f"channel = {self.channel!r}: must be {' or '.join(allowed)} for {self.kind!r}"
             )
         if (self.other is None) == (self.kind == SWAPPED) or self.other == self.channel:
+            given = "other" if self.other is None else f"other = {self.other!r}"
             must = "another sensor than the channel" if self.kind == SWAPPED else "left out"
-            raise ValueError(f"other = {self.other!r}: must be {must} for {self.kind!r}")
+            raise ValueError(f"{given}: must be {must} for {self.kind!r}")
         if self.channel in MEASURED:
             if self.kind.startswith(("actuator-", "controller-")):
                 raise ValueError(

@@ -15,10 +15,11 @@ from typing import Annotated, Any, Final
 from pydantic import PlainValidator
 from pydantic_core import PydanticCustomError
 
-RAD_PER_S, MPS2, MPS, NM, N = "rad/s", "m/s²", "m/s", "N m", "N"
+RAD, RAD_PER_S, MPS2, MPS, NM, N = "rad", "rad/s", "m/s²", "m/s", "N m", "N"
 
 _DEGREE: Final = math.pi / 180.0
 _FACTORS: Final = {
+    RAD: {"rad": 1.0, "deg": _DEGREE, "mrad": 1e-3, "unit_degreofarc": _DEGREE},
     RAD_PER_S: {"rad/s": 1.0, "deg/s": _DEGREE, "mrad/s": 1e-3, "unit_degreofarcperseco": _DEGREE},
     MPS2: {"m/s2": 1.0, "g": 9.80665, "mg": 9.80665e-3, "unit_meterperseconsquar": 1.0},
     MPS: {
@@ -71,6 +72,15 @@ ROLES: Final = {
     "force_difference": N,
 }
 """Every role of a recorded drive and its unit."""
+
+OF_SENSORS: Final = {
+    "yaw_rate": RAD_PER_S,
+    "lateral_acceleration": MPS2,
+    "steering_angle": RAD,
+    "torque_echo": NM,
+    "force_difference_echo": N,
+}
+"""The roles of further sensors and their units."""
 
 OF_A_CAR: Final = ("yaw_rate", "lateral_acceleration", "speed", "torque", "force_difference")
 """The roles that only a recorded drive has; the others are those of a run's frames too."""

@@ -26,7 +26,7 @@ from can_rig.scenario.fault_settings import (
     Moment,
     outages,
 )
-from can_rig.scenario.log_signals import OF_A_CAR, Role
+from can_rig.scenario.log_signals import OF_A_CAR, OF_SENSORS, Role
 from can_rig.scenario.plant_settings import (
     BUILT_IN,
     BY_NUMBERS,
@@ -120,7 +120,7 @@ class SignalNames(_Names):
     A run needs the first five, whose frames the nodes send. A recorded drive needs ``feedback``, or
     ``yaw_rate``, ``lateral_acceleration`` and ``speed``; and ``torque`` as measured, or
     ``command_1`` as sent. Its roles may be tables with a unit and a factor, and lists, whose values
-    are added.
+    are added. A run with further sensors needs the role of each, perhaps with a unit and a factor.
     """
 
     reference: Role = ""
@@ -136,6 +136,9 @@ class SignalNames(_Names):
     speed: Role = ""
     torque: Role = ""
     force_difference: Role = ""
+    steering_angle: Role = ""
+    torque_echo: Role = ""
+    force_difference_echo: Role = ""
 
     def __post_init__(self) -> None:
         for key in ("fault_estimate", *OPTIONAL):
@@ -143,7 +146,7 @@ class SignalNames(_Names):
             message, dot, signal = name.partition(".")
             if name and not (message and dot and signal):
                 raise ValueError(f"{key} = {name!r}: must be Message.Signal")
-        if not any(getattr(self, key) for key in OF_A_CAR):
+        if not self.are_of_a_drive:
             self._require_all("signals, as Message.Signal")
             return
         for key in () if self.feedback else ("yaw_rate", "lateral_acceleration", "speed"):
@@ -153,7 +156,8 @@ class SignalNames(_Names):
             raise ValueError("torque: must be set, the measured input of a recorded drive")
 
     def _given(self) -> dict[str, Any]:
-        return {key: name for key, name in vars(self).items() if key not in OF_A_CAR}
+        further = {*OF_A_CAR, *OF_SENSORS}
+        return {key: name for key, name in vars(self).items() if key not in further}
 
     @property
     def of_frames(self) -> dict[str, str]:
@@ -166,8 +170,9 @@ class SignalNames(_Names):
 
     @property
     def are_of_a_drive(self) -> bool:
-        """Whether the roles are those of a recorded drive."""
-        return any(getattr(self, key) for key in OF_A_CAR)
+        """Whether the roles are those of a recorded drive, and not of a run's frames."""
+        alone = () if self.of_frames else OF_A_CAR
+        return any(getattr(self, key) for key in {*OF_A_CAR[2:], *alone})
 
     def __bool__(self) -> bool:
         """Whether any name is given."""
@@ -197,6 +202,11 @@ class DataIds:
     command_1: DataId | None = None
     command_2: DataId | None = None
     status: DataId | None = None
+    yaw_rate: DataId | None = None
+    lateral_acceleration: DataId | None = None
+    steering_angle: DataId | None = None
+    torque_echo: DataId | None = None
+    force_difference_echo: DataId | None = None
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -558,11 +568,12 @@ def _refuse_sensors(scenario: Scenario) -> None:
                     f"fault.{key} = {name!r}: must be a sensor of the scenario; it has "
                     f"{', '.join(there) or 'none'}"
                 )
-    if scenario.sensor and scenario.network.signals:
-        raise ValueError(
-            "sensor: network.signals: must not be set; further sensors have messages in the rig's "
-            "own frames only"
-        )
+    signals = scenario.network.signals
+    for sensor in scenario.sensors if signals.of_frames else ():
+        if not getattr(signals, sensor.role):
+            raise ValueError(
+                f"network.signals.{sensor.role}: must be set for the sensor {sensor.measures!r}"
+            )
     seen: set[str] = set()
     for number, sensor in enumerate(scenario.sensor):
         where = "sensor" if len(scenario.sensor) == 1 else f"sensor.{number}"

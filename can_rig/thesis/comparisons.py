@@ -15,7 +15,13 @@ from can_rig.assessment.resolve import load
 from can_rig.drawing.names import names_of
 from can_rig.errors import ScenarioError
 from can_rig.plant.faults.plant_faults import PlantFaults
-from can_rig.scenario.build import continuous_design, continuous_plant, controller_table, network_of
+from can_rig.scenario.build import (
+    continuous_design,
+    continuous_plant,
+    controller_table,
+    network_of,
+    require_ours,
+)
 from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.plant_settings import BUILT_IN
 from can_rig.scenario.reference import reference
@@ -161,6 +167,7 @@ def compare_scenario(name: str, settings: Sequence[str] = ()) -> list[Comparison
 
 def _refuse_unlike(scenario: Scenario) -> None:
     """Raise unless the plant is A, B, C from begin to end, as the continuous loop has it."""
+    require_ours(scenario, "figures beside the continuous loop")
     plant, whose = scenario.plant, f"scenario {scenario.name}:"
     if plant.is_own:
         raise ScenarioError(

@@ -22,7 +22,8 @@ safe stop. F̂ on d̂ compensates under every verdict.
 (``filters.prediction``): C is a feedforward then, and only the decision waits. Without a reference
 the controller holds the commands. The held commands act on the plant, so every model of the plant
 goes on with them: F1, w (a lost channel owes these commands too), and F̂ where F̂ works on w. After
-the longest time without an input the commands go to zero, until both inputs come.
+the longest time without an input the commands go to zero, until both inputs come. Below the lowest
+design the controller stands by (``standby``).
 """
 
 from __future__ import annotations
@@ -94,6 +95,7 @@ from firmware_model.law.layout import precision_of, state_type
 from firmware_model.law.overflow import clear_memories
 from firmware_model.law.precision import real
 from firmware_model.law.reference_shaper import start, tracked_reference
+from firmware_model.law.standby import leave, stands_by, take_commands_down
 from firmware_model.law.status import Mode
 from firmware_model.law.structs import RecordArray
 from firmware_model.law.takeover import (
@@ -113,12 +115,12 @@ if TYPE_CHECKING:
     from firmware_model.law.layout import State, Table
 
 
-MODE_INIT, MODE_RUN, MODE_BLIND = int(Mode.INIT), int(Mode.RUN), int(Mode.BLIND)
+MODE_STANDBY, MODE_RUN, MODE_BLIND = int(Mode.STANDBY), int(Mode.RUN), int(Mode.BLIND)
 MODE_SAFE_STOP = int(Mode.SAFE_STOP)
 
 
 def init(table: Table, n: int = 1) -> RecordArray:
-    """``n`` states at rest for ``table``, in its precision: every memory zero, mode INIT."""
+    """``n`` states at rest for ``table``, in its precision: every memory zero, mode STANDBY."""
     states: RecordArray = np.zeros(n, state_type(precision_of(table)))
     for state in states:
         start_up(table, state)
@@ -153,9 +155,18 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         take_commands_back(table, state)
         go_on(table, state)
         state.mode = MODE_SAFE_STOP
+    elif stands_by(table, state.standby, told and measured):
+        take_commands_down(table, state)
+        go_on(table, state)
+        clear_prediction(state.prediction)
+        state.mode = MODE_STANDBY
     elif told and (measured or predicts):
-        if state.takeover.pending != BEGUN:
+        if state.standby.elapsed > 0.0:
+            leave(table, state, r, y)
+            end_takeover(state.takeover)
+        elif state.takeover.pending != BEGUN:
             take_over(table, state, r, y)
+        state.takeover.pending = BEGUN
         compute(table, state, r, y, measured)
     else:
         go_on(table, state)
@@ -175,7 +186,6 @@ def take_over(table: Table, state: State, r: float, y: float) -> None:
             level = wanted_level(r, y)
         reset(table, state, level)
         begin_takeover(table.estimator.channel_1, state.takeover, level, y - level)
-    state.takeover.pending = BEGUN
 
 
 @firmware
@@ -350,14 +360,15 @@ def reset(table: Table, state: State, reference: float) -> None:
     clear_loss_model(state)
     start_candidate(table, state)
     clear_hypotheses(state)
-    state.safe_stop.elapsed = 0.0
+    state.safe_stop.elapsed = state.standby.elapsed = 0.0
+    state.standby.slow = 0
     state.shortfall_1.accumulators[:] = 0.0
     state.shortfall_2.accumulators[:] = 0.0
     release(state.bumpless_transfer)
     clear_prediction(state.prediction)
     end_takeover(state.takeover)
     state.takeover.pending = BEGUN
-    state.mode = MODE_INIT
+    state.mode = MODE_STANDBY
 
 
 @firmware

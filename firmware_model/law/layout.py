@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from firmware_model.law import actuator, status, takeover
+from firmware_model.law import actuator, standby, status, takeover
 from firmware_model.law.fault_decision import (
     likelihood_ratio,
 )
@@ -128,6 +128,7 @@ class State(status.State):
     hypotheses: Annotated[verdict.State, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopState, "1", "where the commands have to go"]
     prediction: Annotated[PredictionState, "1", "in place of a missing measurement"]
+    standby: Annotated[standby.State, "1", "of a car slower than the lowest design"]
     takeover: Annotated[takeover.State, "1", "of a moving plant"]
 
 

@@ -40,6 +40,9 @@ FILTER = (MAX_SPEEDS, MAX_SECTIONS * 5)
 TURN = (MAX_SPEEDS, SIZE * SIZE)
 GAIN = (MAX_SPEEDS, MAX_SECTIONS * 2)
 EACH = (MAX_SPEEDS,)
+BAND = (
+    0.95  # from entering to leaving standby, so that a car at the lowest speed does not alternate
+)
 
 
 class Constants(Struct):
@@ -91,8 +94,8 @@ def change_speed(
 ) -> None:
     """Blend ``table`` for ``speed`` and carry the states of the models over.
 
-    A speed beyond the designs counts as the nearest design's speed; a speed that is not a number
-    changes no value.
+    A speed beyond the designs counts as the nearest design's speed, and below the lowest design the
+    controller stands by; a speed that is not a number changes no value.
 
     Args:
         schedule: constants of this module.
@@ -104,6 +107,7 @@ def change_speed(
     v = real(speed, own.place)
     if not math.isfinite(v):
         return
+    note_speed(state, v, schedule.speed[0])
     place = place_of(schedule, v)
     if place == own.place:
         return
@@ -111,6 +115,16 @@ def change_speed(
     own.place = place
     at = int(place)
     blend(schedule, table, at, place - real(at, place))
+
+
+@firmware
+def note_speed(state: layout.State, speed: float, lowest: float) -> None:
+    """Find out whether a car of this ``speed`` is slower than the ``lowest`` design, m/s."""
+    enters = real(BAND, lowest) * lowest
+    if speed < enters or (state.standby.slow > 0 and speed < lowest):
+        state.standby.slow = 1
+    else:
+        state.standby.slow = 0
 
 
 @firmware

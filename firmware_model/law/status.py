@@ -11,8 +11,9 @@ from firmware_model.law.structs import Struct
 class Mode(IntEnum):
     """The mode of the controller, as sent in the status frame."""
 
-    INIT = 0
-    """No tick has run since ``init`` or ``reset``."""
+    STANDBY = 0
+    """No tick has run since ``init`` or ``reset``, or the car is slower than the lowest design: the
+    commands go to zero."""
     RUN = 1
     """The last tick was computed from its inputs."""
     BLIND = 2

@@ -25,6 +25,7 @@ from can_rig.api import RecordedRun
 from can_rig.assessment.stability import StabilityCheck
 from can_rig.campaigns.statistics import Summary
 from can_rig.decoding.decode import decode_log
+from can_rig.replaying.replay import Comparison
 from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY
 from can_rig.views import recorded_run
 from can_rig.views.diff import Difference
@@ -252,6 +253,20 @@ def test_a_campaign_is_a_table_of_runs(tmp_path: Path) -> None:
     assert len(can_rig.campaign(tmp_path / "two.toml", SHORT, workers=2).runs) == 2
 
 
+def test_a_run_is_verified_by_the_controller_of_today(run: RecordedRun, tmp_path: Path) -> None:
+    same = assert_type(can_rig.verify(run), Comparison)
+    assert (same.identical, same.compared) == (True, 400)
+    other = can_rig.verify(run.save(tmp_path / "run"), changes={"design.tau_s": 0.004})
+    said = json.loads(
+        asked("replay", tmp_path / "run", "--set", "design.tau_s=0.004", "--json").stdout
+    )
+    assert other.first_different_tick == said["first_different_tick"] is not None
+    log = run.folder / LOG
+    assert can_rig.verify(log, "default", SHORT).identical
+    with pytest.raises(errors.ScenarioError, match="which scenario it is of; name it with name"):
+        can_rig.verify(log)
+
+
 def test_a_check_has_one_type() -> None:
     still = assert_type(can_rig.check("thesis-step"), StabilityCheck)
     drive = can_rig.check("thesis-step", {"drive.ramps": [[0.0, 9.0], [1.0, 11.0]]})
@@ -293,7 +308,9 @@ REFUSED: list[tuple[Callable[[], Any], type[errors.RigError], str]] = [
     (lambda: ANY.diff("none", "none"), errors.LogError, "none: there is no such file"),
     (lambda: ANY.stats("none.log"), errors.LogError, "none.log"),
     (lambda: ANY.stats("none.log", bitrate=0), errors.RigError, "bit rate"),
-    (lambda: ANY.plot({}, ["dstar_mps2"]), errors.LogError, "must have a run at least"),
+    (lambda: ANY.plot({}, ["dstar_mps2"]), errors.LogError, "one at least, and a list"),
+    (lambda: ANY.plot([3], ["dstar_mps2"]), errors.LogError, "must have runs by their names"),
+    (lambda: ANY.compare("pi"), errors.ScenarioError, "controllers = 'pi': must be a list"),
     (lambda: ANY.campaign("loses"), errors.ScenarioError, "did you mean losses"),
     (lambda: ANY.save_scenario("default", "x.toml"), errors.ScenarioError, "must be a Scenario"),
     (lambda: ANY.compare([3]), errors.ScenarioError, "controllers = 3: must be a text, a class"),

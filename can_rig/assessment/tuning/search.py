@@ -39,7 +39,7 @@ from can_rig.assessment.tuning.candidate import (
     trusting_table,
 )
 from can_rig.errors import ScenarioError
-from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.build import continuous_plant, require_ours
 from can_rig.scenario.settings import Scenario
 
 FEWEST_A_WORKER = 16  # candidates; each takes some 20 ms
@@ -213,6 +213,7 @@ def _front(
 
 
 def _refuse(scenario: Scenario, spare_ticks: int) -> None:
+    require_ours(scenario, "a tuning")
     where = f"scenario {scenario.name}:"
     if not scenario.design.feedback:
         raise ScenarioError(f"{where} design.feedback = false: must be true, for there is no C")

@@ -51,11 +51,11 @@ struct firmware_answer {
 };
 
 //: if blends
-/* Begin as after power-up: mode MODE_INIT, at the speed of the slowest design. The first step with
+/* Begin as after power-up: mode MODE_STANDBY, at the speed of the slowest design. The first step with
  * both inputs takes over a plant that moves. */
 void firmware_init(struct firmware_memory *memory);
 //: else
-/* Begin as after power-up: mode MODE_INIT. The first step with both inputs takes over a plant that
+/* Begin as after power-up: mode MODE_STANDBY. The first step with both inputs takes over a plant that
  * moves. */
 void firmware_init(struct layout_state *state);
 //: end

@@ -62,7 +62,9 @@ class Sent(NamedTuple):
 
 
 NOTHING = Sent((math.nan, math.nan), math.inf)
-LISTENING: Final = said(Answer(0.0, 0.0, 0.0, Mode.INIT, FaultState.CANNOT_TELL, Verdict.NOTHING))
+LISTENING: Final = said(
+    Answer(0.0, 0.0, 0.0, Mode.STANDBY, FaultState.CANNOT_TELL, Verdict.NOTHING)
+)
 """The status of a controller that does not send commands yet."""
 
 

@@ -129,6 +129,8 @@ function showLamps(run) {
   lamp("load", l.bus_load === null ? "bus load –" : `bus load ${(100 * l.bus_load).toFixed(0)} %`, l.bus_load > 0.9 ? "warn" : "");
   $("speed").hidden = l.speed_mps === null;
   if (l.speed_mps !== null) lamp("speed", `${l.speed_mps.toFixed(1)} m/s`, "");
+  const sensors = Object.entries(l.sensors).map(([name, value]) => `${name} ${value === null ? "not valid" : value.toPrecision(3)}`);
+  $("sensors").hidden = !sensors.length; lamp("sensors", sensors.join(", "), "");
   lamp("rate", `${l.time_s.toFixed(1)} s, ${(l.ticks_per_s * hello.tick_s).toFixed(2)} × real time`, "");
   $("pace").textContent = !l.injectable ? "the plant node obeys no commands" : l.paused ? "paused" : l.pace ? `held to ${l.pace} × real time` : "as fast as it can";
   $("pause").textContent = l.paused ? "Go on" : "Pause";

@@ -152,7 +152,7 @@ class FrameFaults:
     """
 
     def __init__(self, scenario: Scenario, network: Network, changing: bool = False) -> None:
-        self._codecs = network.can_fail
+        self._codecs, self._senders = network.can_fail, network.senders
         self._changing = changing
         self._scenario = scenario
         self.restart()
@@ -177,7 +177,8 @@ class FrameFaults:
         for settings in scenario.faults:
             if not settings.acts_on_frames:
                 continue
-            place = scenario.places.index(settings.place)
+            named = scenario.places.index(settings.place)
+            place = self._senders[named]
             ticks = settings.ticks(scenario.tick_ns, range(scenario.ticks))
             late_ticks = settings.late_ticks if settings.kind == "frames-late" else 0
             self.ticks[place].append(range(ticks.start, ticks.stop + late_ticks))
@@ -187,7 +188,7 @@ class FrameFaults:
                 damaging[0].ticks.append(ticks)
                 continue
             known = [each for each in before[place] if each.settings == always]
-            fault = known[0].fault if known else self._new(always, place)
+            fault = known[0].fault if known else self._new(always, place, named)
             for each in known[:1]:
                 before[place].remove(each)
             faults.append(Scheduled(always, fault, [ticks]))
@@ -218,7 +219,7 @@ class FrameFaults:
         """Whether a fault changes, or may change, frames of ``place``."""
         return self._changing or bool(self._faults[place])
 
-    def _new(self, settings: FaultSettings, place: int) -> FrameFault:
+    def _new(self, settings: FaultSettings, place: int, named: int) -> FrameFault:
         if settings.kind == "frames-corrupted":
             return self._damage[place]
         if settings.kind == "frames-repeated":
@@ -227,7 +228,7 @@ class FrameFaults:
             return Late(settings.late_ticks)
         if settings.kind == "frames-forged":
             assert settings.value is not None
-            return Forged(self._codecs[place], settings.value, self._sent[place])
+            return Forged(self._codecs[named], settings.value, self._sent[place])
         return Missing()
 
 

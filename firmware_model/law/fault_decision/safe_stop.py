@@ -61,6 +61,13 @@ def take_commands_back(table: Table, state: layout.State) -> None:
     if both_lost(table, state):
         left = table.safe_stop.duration - own.elapsed
         own.elapsed += one
+    nearer_to_zero(table, state, left)
+
+
+@firmware
+def nearer_to_zero(table: Table, state: layout.State, left: float) -> None:
+    """A tick on the straight line to zero, of which so many ticks are ``left``."""
+    one = real(1.0, state.command_1)
     share = real(0.0, one)
     if left > one:
         share = (left - one) / left

@@ -58,6 +58,7 @@ def used(table: Any, seed: int = 1) -> Any:
 
     fill(State, state)
     state.fault_state, state.mode = FaultState.CONFIRMED, Mode.RUN
+    state.standby.slow, state.standby.elapsed = 0, 0.0
     return state
 
 
@@ -89,7 +90,7 @@ def test_after_a_reset_nothing_is_left_of_what_was_before(
     found = []
     for state in (controller.init(table)[0], used(table), used(table, seed=2)):
         controller.reset(table, state, reference)
-        assert (state.mode, state.fault_state) == (Mode.INIT, FaultState.CLEAR)
+        assert (state.mode, state.fault_state) == (Mode.STANDBY, FaultState.CLEAR)
         assert state.reference == reference
         assert state.command_1 == pytest.approx(reference / CAR.g1.dc_gain, abs=0.01)
         assert state.fault_estimate == 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +14,26 @@ from scipy import signal
 
 from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
+from can_rig.assessment.tuning.search import tune
 from can_rig.controllers.filters_law import FiltersLaw
 from can_rig.controllers.library import HEADER
 from can_rig.controllers.making import controller_of, peer_of
 from can_rig.controllers.protocol import Answer, Inputs, said
-from can_rig.errors import ExportError, RigError
+from can_rig.errors import ExportError, RigError, ScenarioError
+from can_rig.export.application import application
+from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.plant.frameless import linear_law_of
+from can_rig.replaying.estimator import replay_drive
+from can_rig.replaying.replay import OpenLoop
 from can_rig.results.execution import Options, execute, refuse
+from can_rig.results.metrics import metrics_of
 from can_rig.results.signals import read_signals
+from can_rig.results.source import source_of
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.controller_settings import PEERS
 from can_rig.scenario.settings import Scenario
+from can_rig.thesis.comparisons import compare_scenario
 from firmware_model.analysis.read_off import read_off
 from firmware_model.analysis.sampled_loop import linear_controller
 from firmware_model.discretisation.filters import discretise
@@ -32,6 +41,7 @@ from firmware_model.firmware import Firmware
 from firmware_model.law.structs import FloatArray
 from tests.rig.plant.fmu.building import build
 
+CAR = Path(__file__).parents[3] / "docs" / "car"
 SHORT = ["duration_s=0.6", "fault.at_s=0.3"]
 FILTERS = [
     "controller.kind=filters", "controller.c.num=[20.0, 100.0]", "controller.c.den=[1.0, 0.0]",
@@ -92,6 +102,36 @@ def test_what_a_controller_does_not_say_is_empty(tmp_path: Path) -> None:
         assert (signals.mode == 1).all()
 
 
+CLAIMS = (
+    "missed_detection", "detection_delay_s", "suspicions", "false_alarms", "false_alarms_per_hour",
+)  # fmt: skip
+VERDICTS = ("verdict", "right_place", "wrong_place")
+
+
+@pytest.mark.parametrize("kind", ["pi", "kalman"])
+def test_no_figure_is_made_of_what_a_controller_does_not_say(kind: str) -> None:
+    for channel in ("torque", "force-difference"):
+        found = metrics_of(of(kind, "fault.kind=actuator-dead", f"fault.channel={channel}"))
+        says = kind == "kalman" and channel == "torque"
+        assert [found[name] is not None for name in VERDICTS] == [False] * 3
+        assert [found[name] is not None for name in CLAIMS[:2]] == [says] * 2
+        assert [found[name] is not None for name in CLAIMS[2:]] == [kind == "kalman"] * 3
+        assert found["place"] == channel
+
+
+@pytest.mark.parametrize("kind", ["pi", "kalman", "thesis"])
+def test_a_log_replays_through_the_controller_that_made_it(kind: str, tmp_path: Path) -> None:
+    scenario = of(kind)
+    logged(scenario, tmp_path / "run")
+    found = []
+    for other in (scenario, of("allocation")):
+        loop = OpenLoop(other, network_of(other))
+        loop.run(read_log(tmp_path / "run" / "bus.log"))
+        found.append(loop.comparison)
+    assert [each.identical for each in found] == [True, False]
+    assert found[0].compared == scenario.ticks
+
+
 def test_a_code_says_what_is_not_said() -> None:
     assert said(Answer(0.0, 0.0))[2:] == (3, 14)
     assert said(Answer(0.0, 0.0, fault_state=1))[2:] == (1, 15)
@@ -126,7 +166,7 @@ MODULES = {
     "class C:\n    pass": r"C\(\): must be C\(setup\)",
     "class C:\n    def __init__(self, setup): pass": r"no method reset and no method step",
     "import nothing_such": r"cannot be imported: ModuleNotFoundError: .*nothing_such",
-    "class D:\n    pass": r"no class C in .*bad_module\.py",
+    "class D:\n    pass": r"no class or function C in .*bad_module\.py",
     "class C:\n    def __init__(self, setup): raise KeyError(3)": r"KeyError: 3 \(.*line 2\)",
     "class C(": r"cannot be imported: SyntaxError",
 }
@@ -161,6 +201,16 @@ def test_limits_and_missing_inputs_are_the_nodes(own: Path) -> None:
 def test_other_ways_to_run_belong_to_the_law() -> None:
     with pytest.raises(ExportError, match="--controller c: must be left out"):
         controller_of("c", of("pi"))
+    pi = "controller.kind=pi"
+    ours: list[Callable[[], object]] = [
+        lambda: application(of("pi")),
+        lambda: tune(of("pi"), []),
+        lambda: compare_scenario("thesis-step", [pi]),
+        lambda: replay_drive(source_of(CAR / "car.log.gz", str(CAR / "car.toml"), [pi])),
+    ]
+    for call in ours:
+        with pytest.raises(ScenarioError, match=r"controller.kind = 'pi': must be 'ours' for "):
+            call()
 
 
 # --- filters -------------------------------------------------------------------------------------

@@ -126,7 +126,7 @@ def test_value_tables():
         for name in ("Mode", "FaultState")
     }
     assert words == {
-        "Mode": ["INIT", "RUN", "BLIND", "SAFE_STOP"],
+        "Mode": ["STANDBY", "RUN", "BLIND", "SAFE_STOP"],
         "FaultState": ["CLEAR", "SUSPECTED", "CONFIRMED", "CANNOT_TELL"],
     }
 

@@ -113,7 +113,7 @@ BAD = {
     "second value": (f"SG_ {DSTAR}", f"{EXTRA}\n SG_ {DSTAR}", "in addition to the header"),
     "no mode": ("Mode ", "Moode ", "no signal Mode"),
     "mode place": ("SG_ Mode : 12|2", "SG_ Mode : 12|1", "signal Mode is unsigned"),
-    "mode words": ('0 "INIT" 1 "RUN" 2 "BLIND"', '0 "INIT"', "Mode must have a value table"),
+    "mode words": ('0 "STANDBY" 1 "RUN" 2 "BLIND"', '0 "STANDBY"', "Mode must have a value table"),
     "overlap": ("FaultState : 14|2", "FaultState : 12|2", "overlapping"),
     "no sender": ("DSTAR_FEEDBACK: 8 PLANT", "DSTAR_FEEDBACK: 8 Vector__XXX", "0 senders"),
     "not a DBC": ("BU_:", "BU", "not a DBC that can be loaded"),

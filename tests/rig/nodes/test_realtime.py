@@ -266,7 +266,7 @@ def test_a_restarted_controller_takes_over_without_a_bump(outage, tmp_path):
     assert signals.error_mps2[first:].min() > -0.01  # no overshoot
     assert np.abs(signals.error_mps2[first + 450 :]).max() < 0.01
     listening = signals.mode[back + 2 : first - 2]
-    assert (listening[np.isfinite(listening)] == Mode.INIT).all()
+    assert (listening[np.isfinite(listening)] == Mode.STANDBY).all()
 
 
 def test_a_restart_after_the_motor_died_gives_the_load_to_the_other_channel(tmp_path):

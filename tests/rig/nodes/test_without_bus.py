@@ -45,6 +45,8 @@ CASES = [
     *((name, ["duration_s=3", "fault.at_s=1.5"]) for name in shipped() if name in SLOW),
     ("chassis-cluster", ["duration_s=2", "controller.kind=tests.rig.nodes.hearing:Hearing"]),
     ("chassis-cluster", ["duration_s=1", NONLINEAR, "fault.at_s=0.2", "fault.for_s=0.2"]),
+    ("drive-cycle", [*SHORT, "drive.ramps=[[0, 1.5], [0.05, 1.9], [0.2, 3]]", "limits.blind_s=0.05",
+                     "drive.speed_rate_max_mps2=9"]),
     ("default", [*SHORT, "fault.kind=frames-missing", "fault.for_s=0.015"]),
     ("default", [*SHORT, "fault.kind=frames-corrupted", "fault.channel=force-difference"]),
     ("noisy", [*SHORT, "fault.kind=frames-corrupted", "fault.for_s=0.06", "actuator.hold_s=0.005"]),

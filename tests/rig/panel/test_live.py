@@ -127,3 +127,39 @@ def test_evidence_of_what_was_not_heard_is_unknown(heard, tmp_path):
     shown = _shown(scenario, sent)["evidence_torque_lost"]
     assert np.isnan(shown[10:]).all()
     assert len(shown) > 40
+
+
+def test_the_last_value_of_each_further_sensor_is_shown_and_one_that_is_not_valid(tmp_path):
+    fault = ["fault.kind=sensor-invalid", "fault.channel=torque-echo", "fault.at_s=0.05"]
+    log, _, scenario = record(tmp_path, "duration_s=0.1", *fault, name="cluster")
+    network = network_of(scenario)
+    live = LiveSignals(scenario, network)
+    for frame in can.LogReader(log):
+        live.frames.on_message_received(frame)
+    for _ in range(HOLD + 1):
+        live.update()
+    said = read_signals(log, network, scenario.tick_s).sensors
+    last = {name: column[np.isfinite(column)][-1] for name, column in said.items()}
+    assert live.lamps.sensors == {
+        "yaw rate rad/s": last["measured_yaw_rate_rad_per_s"],
+        "lateral acceleration m/s²": last["measured_lateral_acceleration_mps2"],
+        "steering angle rad": last["measured_steering_angle_rad"],
+        "torque echo N m": None,
+        "force difference echo N": last["force_difference_echo_n"],
+    }
+
+
+@pytest.mark.parametrize("kind", ["pi", "kalman"])
+def test_the_screen_is_empty_where_a_controller_says_nothing(kind, tmp_path):
+    settings = ["duration_s=0.3", "fault.at_s=0.1", f"controller.kind={kind}"]
+    log, _, scenario = record(tmp_path, *settings, name="default")
+    live = LiveSignals(scenario, network_of(scenario))
+    for frame in can.LogReader(log):
+        live.frames.on_message_received(frame)
+    rows = np.concatenate([live.update() for _ in range(HOLD + 1)])
+    shown = dict(zip(COLUMNS, rows.T, strict=True))
+    says = kind == "kalman"
+    assert np.isfinite(shown["estimate"]).any() == np.isfinite(shown["fault_state"]).any() == says
+    assert not np.isfinite([shown[name] for name in ("verdict", *EVIDENCE)]).any()
+    assert (live.lamps.mode, live.lamps.verdict, live.confirm) == ("RUN", "", None)
+    assert live.lamps.fault_state == ("CONFIRMED" if says else "")

@@ -118,6 +118,15 @@ def test_any_list_of_faults_beside_a_controller_that_hears_the_further_sensors(s
     compared(tmp_path, "cluster", *drawn(seed, sensed=True), *hears, "sensor.2.delay_s=0.004")
 
 
+def test_a_controller_that_begins_again_knows_no_frame_of_a_sensor(tmp_path):
+    """The frame after fourteen missing ones has the counter of the last."""
+    missing = {"kind": "frames-missing", "channel": "yaw-rate", "at_s": 0.05, "for_s": 0.014}
+    outage = {"kind": RESTARTED, "at_s": 0.055, "for_s": 0.009}
+    hears = ["controller.kind=tests.rig.nodes.hearing:Hearing", "sensor.0.period_s=0.001"]
+    trace = compared(tmp_path, "cluster", "duration_s=0.1", *fault_list(missing, outage), *hears)
+    assert len(trace.measured) == 100
+
+
 @pytest.mark.parametrize(
     ("name", "settings"),
     [

@@ -90,7 +90,7 @@ def test_a_package_in_the_current_directory_is_found_but_hides_nothing_installed
     write(GOOD, "mycars/small.py")
     assert type(load_plant("mycars.small:Car", SETTINGS)).__name__ == "Car"
     write("raise AssertionError('imported')", "colorsys.py")
-    assert "no class Car in" in refusal("colorsys:Car")  # the standard library's own
+    assert "no class or function Car in" in refusal("colorsys:Car")  # the standard library's own
 
 
 NUMBERS = {"an int": "0", "NumPy's": "numpy.float64(0.0)", "NumPy's small": "numpy.float32(0.0)"}
@@ -129,8 +129,8 @@ REFUSED = {
     "exits to reset": (("self.calls.append(\"reset\")", "exit()"), r"reset\(\) failed: SystemE"),
     "exits as a module": (("class Car", "exit()\nclass Car"), "cannot be imported: SystemExit"),
     "no words": (("return 0.5", "raise ValueError"), r"failed: ValueError \(.*, line \d+\)$"),
-    "other class": (("class Car", "class Cat"), "no class Car in .*mycar.py$"),
-    "no class": (("class Car:", "Car = 5\nclass Cat:"), "no class Car in .*mycar.py$"),
+    "other class": (("class Car", "class Cat"), "no class or function Car in .*mycar.py$"),
+    "no class": (("class Car:", "Car = 5\nclass Cat:"), "no class or function Car in .*mycar.py$"),
     "no Python": (("class Car:", "class Car"), "mycar cannot be imported: SyntaxError: "),
     "needs another": (("class Car", "import mycar_x\nclass Car"), "imported: ModuleNotFoundError"),
 }  # fmt: skip
@@ -248,4 +248,4 @@ def test_from_the_command_line_a_file_beside_the_scenario_is_a_plant(tmp_path):
     refused = asked(*run, "plant.kind=mycar:Nope", "--force")
     assert refused.returncode == 2
     assert "Traceback" not in refused.stderr
-    assert "plant.kind = 'mycar:Nope': no class Nope in" in refused.stderr
+    assert "plant.kind = 'mycar:Nope': no class or function Nope in" in refused.stderr

@@ -299,7 +299,7 @@ BAD_FAULTS = [
     ({"kind": "sensor-lying", "channel": "yaw-rate"}, "fault.channel = 'yaw-rate': must be torque"),
     ({"kind": "sensor-invalid"}, "fault.channel = 'torque': must be yaw-rate or"),
     ({"kind": "sensor-tick-stuck", "channel": "sensor"}, "fault.channel = 'sensor': must be yaw"),
-    ({"kind": "sensor-swapped", "channel": "yaw-rate"}, "fault.other = None: must be another"),
+    ({"kind": "sensor-swapped", "channel": "yaw-rate"}, "fault.other: must be another"),
     (
         {"kind": "sensor-swapped", "channel": "yaw-rate", "other": "yaw-rate"},
         "fault.other = 'yaw-rate': must be another sensor than the channel",

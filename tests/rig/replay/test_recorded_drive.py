@@ -40,6 +40,20 @@ def test_a_dead_motor_shows_in_the_torque_as_sent_but_not_as_measured(
     assert not (measured.signals["fault_state"] == 2).any()
 
 
+def test_a_lateral_acceleration_of_the_other_direction_is_noted() -> None:
+    """No line for the signs as they are."""
+    written = [line for line in CAR.read_text("utf-8").splitlines() if "lateral_acc" in line]
+    name = written[0].partition('"')[2].rpartition('"')[0]
+    for factor, noted in ((1.0, False), (-1.0, True)):
+        value = f'{{signal = "{name}", factor = {factor}}}'
+        done = CliRunner().invoke(main, [
+            "replay", str(LOG), "--scenario", str(CAR), "--set",
+            f"network.signals.lateral_acceleration={value}",
+        ])  # fmt: skip
+        assert done.exit_code == 0, done.stderr
+        assert ("have opposite signs" in done.stderr) == noted
+
+
 def test_a_gap_is_hold_from_five_periods_on(measured: can_rig.ReplayedDrive) -> None:
     hold = measured.signals.index[measured.signals["mode"] == 2]
     assert hold[0] == pytest.approx(GAP_S[0] - 0.01 + 0.05, abs=0.011)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ import pytest
 from can import Message
 
 from can_rig.assessment.resolve import load, load_run
+from can_rig.controllers.making import PEER
 from can_rig.errors import LogError
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
 from can_rig.replaying.replay import OpenLoop
-from tests.helpers import NAMES, asked
+from can_rig.scenario.build import network_of
+from tests.helpers import NAMES, asked, record
 from tests.rig.replay.drive import (
     ALL,
     NETWORK,
@@ -35,7 +38,11 @@ SIGNALS = ("SteerTorque", "ForceDifference", "FaultEstimate", "Mode", "FaultStat
 
 
 def test_a_run_folder_replays_bit_for_bit(tmp_path: Path) -> None:
-    for name, settings_ in (("default", ()), ("noisy", ("fault.kind=sensor-biased",))):
+    for name, settings_ in (
+        ("default", ()),
+        ("noisy", ("fault.kind=sensor-biased",)),
+        ("cluster", ("controller.kind=pi",)),
+    ):
         run = asked(
             "run",
             name,
@@ -173,3 +180,17 @@ def test_a_run_brings_its_scenario_and_the_model_follows_the_car() -> None:
 def test_numbers_of_frames_add_up(frames: list[Message]) -> None:
     assert len(frames) == ALL * TICKS
     np.testing.assert_array_equal(answers(frames, SCENARIO), logged(frames))
+
+
+def test_a_controller_that_hears_further_sensors_gets_their_logged_frames(tmp_path: Path) -> None:
+    hears = ["controller.kind=tests.rig.nodes.hearing:Hearing", "duration_s=0.3", "fault.at_s=0.1"]
+    log, _, scenario = record(tmp_path, *hears, name="cluster")
+    network = network_of(scenario)
+    loop = OpenLoop(scenario, network, PEER)
+    loop.run(read_log(log))
+    assert loop.comparison.identical
+    assert loop.comparison.compared == scenario.ticks
+    assert not loop.account.gaps
+    deaf = OpenLoop(scenario, replace(network, witnesses=()), PEER)
+    deaf.run(read_log(log))
+    assert not deaf.comparison.identical

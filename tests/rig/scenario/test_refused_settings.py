@@ -73,6 +73,8 @@ DEFAULT = {
     (RAMP, "design.speeds_mps=[12, 10]"): "design.speeds_mps: 10 after 12: must increase",
     (RAMP, "plant.kind=can_rig.plant.nonlinear_car:NonlinearCar"): "must be steer-by-wire",
     ("reference.kind=driver",): "lane_changes_s: must have a time",
+    ("reference.kind=samples",): "samples_mps2: must have a value",
+    ("reference={samples_mps2=[1.0]}",): "reference.kind: must be 'samples' where reference.sam",
     ("reference={lane_changes_s=[1.0]}",): "reference.kind: must be 'driver' where reference.lane_",
     ("reference={kind='driver', lane_changes_s=[1.0], amplitude_mps2=-1}",):
         "reference.amplitude_mps2 = -1: must be greater than 0",

@@ -37,6 +37,7 @@ OF_A_DRIVE = {  # tests/rig/scenario/test_drive.py
     "drive.file",
     "design.speeds_mps",
     "reference.lane_changes_s",
+    "reference.samples_mps2",  # tests/rig/scenario/test_from_python.py
 }
 OTHER = {
     "drive.speed_rate_max_mps2": 3.0, "drive.gap_max_s": 3.0,

@@ -14,8 +14,9 @@ from can_rig.scenario import shipped
 from can_rig.scenario.box import CAR as UNCERTAIN
 from can_rig.scenario.box import in_box
 from can_rig.scenario.build import network_of
+from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.settings import Scenario
-from firmware_model.law.status import FaultState
+from firmware_model.law.status import FaultState, Mode
 
 LATEST_S = 0.15  # of a confirmation: a third of what a driver takes to react
 LATEST_OF_S = {"satellite": 0.6}  # it takes 0.25 s to move by what noise lets anybody see
@@ -86,3 +87,20 @@ def test_half_of_the_torque_stays_lost_in_a_slow_car_with_soft_front_tires(rear:
     car = replace(scenario, plant=in_box(scenario.plant, shares))
     state = frameless(car, network_of(car)).fault_state
     assert stays_lost(state[round(scenario.loss.at_s / scenario.tick_s) :])
+
+
+def test_the_wltc_has_every_mode_and_a_loss_stays_known_through_its_stops() -> None:
+    beside = ["fault.1.kind=frames-missing", "fault.1.channel=sensor", "fault.1.for_s=2"]
+    scenario = load("wltc", ["fault.0.at_s=885", *beside, "fault.1.at_s=1100"])
+    trace = frameless(scenario, network_of(scenario))
+    mode, speed = trace.mode, speeds_at_ticks(scenario)
+    assert (mode[speed < 1.89] == Mode.STANDBY).all()
+    assert (mode[speed > 2.01] != Mode.STANDBY).all()
+    missing = slice(110_000, 110_200)
+    assert set(mode[missing].tolist()) == {Mode.BLIND, Mode.SAFE_STOP}
+    assert np.isin(np.delete(mode, missing), (Mode.RUN, Mode.STANDBY)).all()
+    assert not np.hypot(trace.command_1, trace.command_2)[speed == 0.0][-100:].any()
+    assert stays_lost(trace.fault_state)
+    starts = np.flatnonzero((mode[1:] == Mode.RUN) & (mode[:-1] == Mode.STANDBY)) + 1
+    assert len(starts) == 8
+    assert np.abs(np.diff(trace.command_1)[starts - 1]).max() < 1.0
