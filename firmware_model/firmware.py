@@ -11,10 +11,10 @@ import numpy as np
 from firmware_model.law import controller, schedule
 from firmware_model.law.fault_decision.hypotheses import verdict
 from firmware_model.law.fault_decision.lost_commands import act_first
-from firmware_model.law.fault_decision.mismatch import doubt_motion
 from firmware_model.law.filters import biquad
 from firmware_model.law.layout import State, Table, precision_of
-from firmware_model.law.structs import FloatArray, RecordArray, record_type
+from firmware_model.law.structs import RecordArray, record_type
+from firmware_model.law.takeover import AT_REST, UNKNOWN
 
 
 class Answer(NamedTuple):
@@ -93,6 +93,7 @@ class Firmware:
         self._tables = np.zeros(1, table.dtype)
         self._tables[0] = table
         self._states = law.init(self._tables[0])
+        self._first = self._states.view(np.uint8).copy()
         self._step = law.step_of(self._tables, self._states)
         self._motions = np.zeros(1, record_type(biquad.State, precision_of(table)))
         self._change_speed: ChangeSpeed | None = None
@@ -110,6 +111,14 @@ class Firmware:
             float(command_1), float(command_2), float(estimate), mode, fault_state, verdict
         )
 
+    def begin(self, at_rest: bool = False) -> None:
+        """Start as after power-up: a plant that moves is taken over; see ``law.takeover``.
+
+        ``at_rest``: whether the actuators are known to be at rest.
+        """
+        self._states.view(np.uint8)[...] = self._first
+        self._states[0].takeover.pending = AT_REST if at_rest else UNKNOWN
+
     def reset(self, reference: float) -> None:
         """Start from the settled healthy loop at ``reference``; see ``controller.reset``."""
         self._law.reset(self._tables[0], self._states[0], reference)
@@ -118,18 +127,6 @@ class Firmware:
         """Before the ``step`` of a tick: the speed of the car, m/s; not a number: as it was."""
         if self._change_speed is not None:
             self._change_speed(speed)
-
-    def move(self, sections: FloatArray, doubt: float) -> None:
-        """Add a motion of the plant to F1, caused by another source than this controller.
-
-        Args:
-            sections: shape (MAX_SECTIONS, 2), the change of the state of F1's first model.
-            doubt: variance of y due to the motion; the decision takes no fault from the motion.
-        """
-        state = self._states[0]
-        accumulators = state.estimator.channel_1.accumulators
-        accumulators += sections.astype(accumulators.dtype)
-        doubt_motion(self._tables[0].mismatch, state.mismatch, doubt)
 
     def act(self, command_1: float, command_2: float) -> None:
         """Set the commands that act from the next ``step`` on, after a loss of the sent commands.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from can_rig.controllers.bumpless_restart import BumplessRestart
 from can_rig.controllers.protocol import Answer, InNode, Inputs, NodeController
 from can_rig.frames.network import Network
 from can_rig.scenario.driving import controls
@@ -27,9 +26,8 @@ class OurLaw:
     def __init__(self, scenario: Scenario, network: Network, law: Law) -> None:
         of = controls(scenario, network)
         self.firmware = Firmware(of.table, law, of.schedule)
-        self._restart = scenario, of.table, network.feedback.lsb
         self.firmware.step(math.nan, math.nan)  # compiled before the first tick
-        self.firmware.reset(0.0)
+        self.firmware.begin()
 
     def reset(self, reference: float) -> None:
         """See ``Controller``."""
@@ -51,9 +49,9 @@ class OurLaw:
         """See ``NodeController``."""
         return self.firmware.commands
 
-    def take_over(self) -> BumplessRestart:
+    def take_over(self, inputs: Inputs, at_rest: bool) -> None:
         """See ``NodeController``."""
-        return BumplessRestart(self.firmware, *self._restart)
+        self.firmware.begin(at_rest)
 
 
 def in_node(law: Law, without_frames: bool = False) -> InNode:

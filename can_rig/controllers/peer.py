@@ -7,13 +7,11 @@ from collections.abc import Callable
 from numbers import Integral, Real
 from typing import Any, Final
 
-from can_rig.controllers.bumpless_restart import BumplessRestart
 from can_rig.controllers.protocol import Answer, Inputs
 from can_rig.controllers.setup import ControllerSetup
 from can_rig.errors import RigError, ScenarioError
 from can_rig.scenario.own_class import failure, find_class, guard, require_signature
 from firmware_model.law.status import Mode
-from firmware_model.law.structs import FloatArray
 
 METHODS: Final = {
     "reset": "reset(reference)",
@@ -114,16 +112,10 @@ class Peer:
         if self._act is not None:
             self._call("act", self._act, command_1, command_2)
 
-    def take_over(self) -> BumplessRestart:
-        """See ``NodeController``; the motion of the plant is not known."""
-        return BumplessRestart(self, self._setup.scenario)
-
-    def change_speed(self, speed: float) -> None:
-        """See ``bumpless_restart.Restarted``."""
-        self._speed = speed
-
-    def move(self, sections: FloatArray, doubt: float) -> None:
-        """See ``bumpless_restart.Restarted``; a controller of one's own has no such model."""
+    def take_over(self, inputs: Inputs, at_rest: bool) -> None:
+        """See ``NodeController``."""
+        self._speed = inputs.speed_mps
+        self.reset(inputs.measurement)
 
     def _call(self, name: str, method: Callable[..., Any], *arguments: object) -> Any:
         try:

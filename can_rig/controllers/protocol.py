@@ -94,34 +94,6 @@ class Controller(Protocol):
         """The answer of a tick, or both commands alone."""
 
 
-class TakeOver(Protocol):
-    """How a controller that starts while the plant moves takes over; see ``bumpless_restart``."""
-
-    @property
-    def listens(self) -> bool:
-        """Whether the controller may still send no command."""
-
-    @property
-    def heard_enough(self) -> bool:
-        """Whether enough of the samples have come."""
-
-    @property
-    def done(self) -> bool:
-        """Whether ``reference`` returns its argument from the next tick on."""
-
-    def hear(self, inputs: Inputs) -> None:
-        """Take in a tick without commands."""
-
-    def start(self) -> None:
-        """Put the controller into the state of the plant that was heard."""
-
-    def miss(self) -> None:
-        """Let a tick pass without a command."""
-
-    def reference(self, reference: float) -> float:
-        """The reference of the next tick in place of ``reference``."""
-
-
 class NodeController(Protocol):
     """A controller as a node holds it; inputs that are not numbers have not come."""
 
@@ -138,8 +110,13 @@ class NodeController(Protocol):
     def act(self, command_1: float, command_2: float) -> None:
         """The commands that act from the next ``step`` on, after a loss of the sent commands."""
 
-    def take_over(self) -> TakeOver:
-        """A new take-over of this controller."""
+    def take_over(self, inputs: Inputs, at_rest: bool) -> None:
+        """Begin while the plant moves.
+
+        Args:
+            inputs: the last heard.
+            at_rest: whether the actuators have let go of earlier commands.
+        """
 
 
 @dataclass(frozen=True)

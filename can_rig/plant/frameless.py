@@ -39,6 +39,7 @@ from firmware_model.analysis.simulation import LoopPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law import controller
 from firmware_model.law.structs import FloatArray, RecordArray
+from firmware_model.law.takeover import UNKNOWN
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Common:
         undisturbed: the common scenario, without faults and noise.
         network: their frames.
         of: the rig's own law; None: a controller of another kind.
-        at_rest: the controller's state at rest.
+        at_rest: the controller's state after power-up.
         plant: the linear plant; None: each run makes a plant object.
         quiet: the inputs without faults and sensor noise.
     """
@@ -109,7 +110,7 @@ def common(scenario: Scenario) -> Common:
     network = network_of(undisturbed)
     of = law_of(scenario, network)  # a refusal may name the noise
     quiet = inputs_of(undisturbed, network)
-    at_rest = None if of is None else controller.init(of.table)
+    at_rest = None if of is None else powered_up(of)
     return Common(undisturbed, network, of, at_rest, linear_plant(undisturbed), quiet)
 
 
@@ -246,9 +247,16 @@ def simulation(
             [frame_row(codec) for codec in (network.command_1, network.command_2, network.feedback)]
         ),
         keeps_states=keeps_states,
-        at_rest=at_rest,
+        at_rest=powered_up(of) if at_rest is None and of is not None else at_rest,
         restarts=[outage.stop for outage in scenario.outages],
     )
+
+
+def powered_up(of: Scheduled) -> RecordArray:
+    """The state of a controller after power-up: the plant may move already."""
+    state = controller.init(of.table)
+    state["takeover"]["pending"] = UNKNOWN
+    return state
 
 
 def law_of(scenario: Scenario, network: Network | None) -> Scheduled | None:

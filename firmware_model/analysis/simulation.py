@@ -152,7 +152,7 @@ class Simulation:
         resolution: of the sensor; 0: none.
         frames: (3, ``GRID``), frames of both commands and of the measurement; see ``hardware``.
         keeps_states: whether ``plant_states`` records the states of a ``SampledPlant``.
-        at_rest: (1,), a state from ``controller.init``, to save the call.
+        at_rest: (1,), the controller's first state, also after a restart; None: at rest.
         restarts: ticks at whose begin the controller starts again, at rest, in ascending order.
     """
 

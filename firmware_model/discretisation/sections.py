@@ -116,7 +116,7 @@ def make_up_gain(sections: Sections) -> FloatArray:
         y² + x⁺ᵀ P x⁺,  P = Aᵀ P A + cᵀ c:   v = (d c + Bᵀ P A) x/(d² + Bᵀ P B).
     """
     a, b, c, d, reached = realisation(sections)
-    energy = _energy(a, c)
+    energy = energy_of(a, c)
     above, below = d * c + b @ energy @ a, d * d + b @ energy @ b
     gain = np.zeros((len(sections.coefficients), 2))
     if below > 0.0:
@@ -144,7 +144,7 @@ def section(zeros: list[complex], poles: list[complex]) -> FloatArray:
     return row
 
 
-def _energy(a: FloatArray, c: FloatArray) -> FloatArray:
+def energy_of(a: FloatArray, c: FloatArray) -> FloatArray:
     """P = Σ (Aᵀ)ᵏ cᵀ c Aᵏ of a stable A, by doubling: no digits are lost, however slow A is."""
     energy, power = np.outer(c, c), a
     while power.any():

@@ -58,7 +58,11 @@ from firmware_model.law.fault_decision.loss_model import (
     known_share,
     loss_shown,
 )
-from firmware_model.law.fault_decision.mismatch import clear_mismatch, settle_mismatch
+from firmware_model.law.fault_decision.mismatch import (
+    clear_mismatch,
+    doubt_motion,
+    settle_mismatch,
+)
 from firmware_model.law.fault_decision.other_cars import (
     advance_other_cars,
     settle_other_cars,
@@ -94,6 +98,18 @@ from firmware_model.law.reference_shaper import start, tracked_reference
 from firmware_model.law.standby import leave, stands_by, take_commands_down
 from firmware_model.law.status import Mode
 from firmware_model.law.structs import RecordArray
+from firmware_model.law.takeover import (
+    BEGUN,
+    UNKNOWN,
+    advance_motion,
+    begin_takeover,
+    doubt,
+    end_takeover,
+    led_reference,
+    listens,
+    show_motion,
+    wanted_level,
+)
 
 if TYPE_CHECKING:
     from firmware_model.law.layout import State, Table
@@ -134,6 +150,7 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
     told = math.isfinite(r)
     frozen = state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement
     measured = math.isfinite(y) and not frozen
+    predicts = table.prediction.enabled == 1 and state.takeover.pending == BEGUN
     if stops(table, state, told and measured):
         take_commands_back(table, state)
         go_on(table, state)
@@ -143,9 +160,13 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         go_on(table, state)
         clear_prediction(state.prediction)
         state.mode = MODE_STANDBY
-    elif told and (measured or table.prediction.enabled):
+    elif told and (measured or predicts):
         if state.standby.elapsed > 0.0:
             leave(table, state, r, y)
+            end_takeover(state.takeover)
+        elif state.takeover.pending != BEGUN:
+            take_over(table, state, r, y)
+        state.takeover.pending = BEGUN
         compute(table, state, r, y, measured)
     else:
         go_on(table, state)
@@ -153,9 +174,27 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
 
 
 @firmware
+def take_over(table: Table, state: State, r: float, y: float) -> None:
+    """The first tick with both inputs: a takeover, if the plant moves."""
+    model_1, model_2 = model_output(
+        table.estimator, state.estimator, state.command_1, state.command_2
+    )
+    difference = y - predicted(table, state, model_1 + model_2)
+    if table.takeover.enabled and abs(difference) > table.takeover.least:
+        level = real(0.0, y)
+        if state.takeover.pending == UNKNOWN:
+            level = wanted_level(r, y)
+        reset(table, state, level)
+        begin_takeover(table.estimator.channel_1, state.takeover, level, y - level)
+
+
+@firmware
 def compute(table: Table, state: State, r: float, y: float, measured: bool) -> None:
     """A tick with a reference ``r``, and a measurement ``y`` to be used where ``measured``."""
     state.reference = r
+    show_motion(table.estimator.channel_1, state.takeover)
+    r = led_reference(table.takeover, state.takeover, r)
+    listening = measured and listens(table.takeover, state.takeover)
     held_1, held_2 = state.command_1, state.command_2
     estimator, compensator = table.estimator, table.compensator
 
@@ -163,7 +202,7 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     zero = real(0.0, held_1)
     rest_1, before_2 = model_output(estimator, state.estimator, zero, held_2)
     y = measurement_or_prediction(table, state, y, measured, rest_1 + before_2)
-    tracked = tracked_reference(table, state)
+    tracked = tracked_reference(table, state, r)
     seen = y + state.prediction.fading + missing_output(table, state)
     wanted = tracked - table.tracking.feedback * seen
     torque = asked_torque(table.tracking, state.tracking, wanted + table.tracking.feedback * rest_1)
@@ -176,35 +215,22 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     error = wanted + table.tracking.feedback * model_1
     track(table.tracking, state.tracking, error, state.command_1)
     known = model_1 + model_2 - take_measurement(estimator, state.estimator, y)
-    q_rest = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
-    rest_2 = output(compensator.filter, state.compensator.filter, zero)
-    from_reference = compensator.reference_share * r
-    made_up = make_up(table.shortfall_2, estimator.channel_2, table.actuator_2, state.shortfall_2)
 
     # Without feedthrough of u2 the sum is the residual; with feedthrough u2 of this tick is
     # missing.
-    if measured:
+    if measured and not listening:
         decide(table, state, known + estimator.feedthrough_2 * held_2, model_1, model_2)
     else:
         show_acting_commands(table, state)
 
-    known_loss = compensator.on_confirmation > 0
-    if known_loss:  # u2 = r2 + F̂ s w, with the w of this tick's command
-        drive = transfer(state.bumpless_transfer, compensated_output(table, state))
-        force = from_reference + rest_2 + compensator.feedthrough * drive
-    else:  # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
-        estimate = q_rest + estimator.one_plus_q_feedthrough * known
-        force = from_reference + rest_2 + compensator.feedthrough * estimate
-        force = force * compensator.loop_inverse
-        made_up = made_up * compensator.loop_inverse
-        drive = zero
+    force, made_up, drive = asked_force(table, state, r, known)
     wish_2 = force + made_up
     possible_2 = saturate_rate(table.actuator_2, wish_2, held_2)
     state.command_2 = quantise(table.actuator_2, state.actuator_2, possible_2)
 
     residual = known + estimator.feedthrough_2 * state.command_2
     estimate = advance(estimator.one_plus_q, state.estimator.one_plus_q, residual)
-    drive = drive if known_loss else estimate
+    drive = drive if compensator.on_confirmation > 0 else estimate
     advance(compensator.filter, state.compensator.filter, drive)
     if not (math.isfinite(wish_1) and math.isfinite(wish_2)):
         forget(table, state, held_1, held_2)
@@ -212,6 +238,28 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     state.fault_estimate = estimate
     state.mode = MODE_RUN if measured else MODE_BLIND
     advance_models(table, state, torque - possible_1, force - possible_2)
+
+
+@firmware
+def asked_force(table: Table, state: State, r: float, known: float) -> tuple[float, float, float]:
+    """Return u2 before its limits, its make-up, and the input of F̂ on a known loss.
+
+    ``known``: the residual, less the u2 of this tick.
+    """
+    estimator, compensator, zero = table.estimator, table.compensator, real(0.0, known)
+    rest = output(compensator.filter, state.compensator.filter, zero)
+    force = compensator.reference_share * r + rest
+    made_up = make_up(table.shortfall_2, estimator.channel_2, table.actuator_2, state.shortfall_2)
+    if compensator.on_confirmation > 0:  # u2 = r2 + F̂ s w, with the w of this tick's command
+        drive = transfer(state.bumpless_transfer, compensated_output(table, state))
+        force = force + compensator.feedthrough * drive
+    else:  # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
+        estimate = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
+        estimate += estimator.one_plus_q_feedthrough * known
+        force = (force + compensator.feedthrough * estimate) * compensator.loop_inverse
+        made_up = made_up * compensator.loop_inverse
+        drive = zero
+    return force, made_up, drive
 
 
 @firmware
@@ -227,15 +275,19 @@ def forget(table: Table, state: State, held_1: float, held_2: float) -> None:
 def measurement_or_prediction(
     table: Table, state: State, y: float, measured: bool, model_output: float
 ) -> float:
-    """Return y where ``measured``, otherwise what stands in for y."""
+    """Return y less the motion of a takeover where ``measured``, otherwise what stands in for y."""
     own, constants = state.prediction, table.prediction
     lost = known_share(state) * loss_shown(table, state)
     expected = predicted(table, state, model_output - lost)
     if measured:
         state.measurement = y
+    y = y - state.takeover.shown
+    if measured and listens(table.takeover, state.takeover):
+        state.takeover.error = y - expected
+    elif measured:
         note_measurement(constants, own, y, expected)
         return y
-    if math.isfinite(y):
+    elif math.isfinite(y):
         distrust(own, y, expected)
     stood_in: float = stand_in(constants, own, expected)
     return stood_in
@@ -275,6 +327,10 @@ def advance_models(table: Table, state: State, short_1: float, short_2: float) -
     advance_signatures(table, state)
     advance_sensor_error(table, state)
     advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
+    advance_motion(table.takeover, table.estimator.channel_1, state.takeover)
+    if state.takeover.active and state.takeover.elapsed == table.takeover.listening:
+        doubt_motion(table.mismatch, state.mismatch, doubt(table.takeover, state.takeover))
+        start_candidate(table, state)
 
 
 @firmware
@@ -310,6 +366,8 @@ def reset(table: Table, state: State, reference: float) -> None:
     state.shortfall_2.accumulators[:] = 0.0
     release(state.bumpless_transfer)
     clear_prediction(state.prediction)
+    end_takeover(state.takeover)
+    state.takeover.pending = BEGUN
     state.mode = MODE_STANDBY
 
 

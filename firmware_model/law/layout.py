@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from firmware_model.law import actuator, standby, status
+from firmware_model.law import actuator, standby, status, takeover
 from firmware_model.law.fault_decision import (
     likelihood_ratio,
 )
@@ -105,6 +105,7 @@ class Table(Struct):
     hypotheses: Annotated[verdict.Constants, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopConstants, "1", "where both actuators are lost"]
     prediction: Annotated[PredictionConstants, "1", "in place of a missing measurement"]
+    takeover: Annotated[takeover.Constants, "1", "of a moving plant"]
 
 
 class State(status.State):
@@ -128,6 +129,7 @@ class State(status.State):
     safe_stop: Annotated[SafeStopState, "1", "where the commands have to go"]
     prediction: Annotated[PredictionState, "1", "in place of a missing measurement"]
     standby: Annotated[standby.State, "1", "of a car slower than the lowest design"]
+    takeover: Annotated[takeover.State, "1", "of a moving plant"]
 
 
 def table_type(precision: Precision = "float64") -> np.dtype[np.void]:

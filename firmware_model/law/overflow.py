@@ -20,6 +20,7 @@ from firmware_model.law.filters.shortfall import make_up
 from firmware_model.law.filters.tracking import missing_output
 from firmware_model.law.precision import real
 from firmware_model.law.reference_shaper import start
+from firmware_model.law.takeover import UNKNOWN, end_takeover
 
 if TYPE_CHECKING:
     from firmware_model.law.layout import State, Table
@@ -44,6 +45,7 @@ def clear_memories(table: Table, state: State) -> None:
     start_candidate(table, state)
     clear_hypotheses(state)
     clear_prediction(state.prediction)
+    end_takeover(state.takeover)
 
 
 @firmware
@@ -65,7 +67,7 @@ def sum_of_models(table: Table, state: State) -> float:
 
 @firmware
 def clear_models(state: State) -> None:
-    """Forget the plant: plant at rest, no loss."""
+    """Forget the plant and the loss: the next tick with both inputs may be a takeover."""
     start(state.reference_shaper, real(0.0, state.command_1))
     state.shortfall_1.accumulators[:] = 0.0
     state.shortfall_2.accumulators[:] = 0.0
@@ -76,4 +78,5 @@ def clear_models(state: State) -> None:
     clear_loss_model(state)
     clear_other_cars(state)
     release(state.bumpless_transfer)
+    state.takeover.pending = UNKNOWN
     state.fault_state = CLEAR

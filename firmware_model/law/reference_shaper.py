@@ -46,12 +46,12 @@ class State(Struct):
 
 
 @firmware
-def tracked_reference(table: Table, state: layout.State) -> float:
+def tracked_reference(table: Table, state: layout.State, reference: float) -> float:
     """What C tracks: the reference, shaped where the table says so."""
-    r: float = state.reference
+    tracked = reference
     if table.reference_shaper.enabled:
-        r = shape_reference(table.reference_shaper, state.reference_shaper, r)
-    return r
+        tracked = shape_reference(table.reference_shaper, state.reference_shaper, reference)
+    return tracked
 
 
 @firmware

@@ -1,4 +1,4 @@
-"""F1 hears of what no command of its own controller did to the plant."""
+"""A controller as one object: its commands, and the commands that came too late."""
 
 import numpy as np
 import pytest
@@ -9,10 +9,8 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
-from firmware_model.law.fault_decision.covariance import LOSS_STATES
 from firmware_model.law.filters.biquad import advance, at_rest
 from firmware_model.law.status import FaultState, Verdict
-from tests.firmware.law.cases import other_cars
 
 TICK_S = 0.001
 PLANT = sample(steer_by_wire(), TICK_S)
@@ -53,40 +51,6 @@ def test_commands_that_were_late_are_no_fault_to_who_knows(latency, lost):
     told, untold = (run(Firmware(table(latency)), latency, lost, tell) for tell in (True, False))
     assert told.max() < 1e-12
     assert untold.max() > 1e-5
-
-
-@pytest.mark.parametrize(("precision", "rounding"), [("float64", 1e-12), ("float32", 1e-6)])
-def test_a_motion_that_is_known_is_no_fault(precision, rounding):
-    """A plant that someone else pushed for 30 ticks and that nothing drives now."""
-    constant = table(1, precision)
-    state, pushed = PLANT.rest, at_rest()
-    for _ in range(30):
-        advance(constant.estimator.channel_1, pushed, 100.0)
-        state = PLANT.phi @ state + PLANT.gamma @ [100.0, 0.0]
-    y = float(PLANT.c @ state)
-    assert abs(y) > 0.01
-    told, untold = Firmware(constant), Firmware(constant)
-    told.move(pushed.accumulators, 0.0)
-    assert abs(told.step(y, y).fault_estimate) < rounding
-    assert abs(untold.step(y, y).fault_estimate) > 1e-3 * abs(y)
-
-
-def test_a_motion_that_is_known_roughly_is_no_fault_within_that():
-    """Off by 0.01, which a sensor biased in that very tick would be too."""
-    told, untold = (Firmware(table(1, mismatch=other_cars(2))) for _ in range(2))
-    before = told._states[0].mismatch.covariance.variances.copy()
-    told.move(at_rest().accumulators, 0.02**2)
-    before[LOSS_STATES + 2] = 0.02**2  # of the remainder, behind two directions
-    assert (told._states[0].mismatch.covariance.variances == before).all()
-    for _ in range(20):
-        answers = [each.step(0.0, 0.01) for each in (told, untold)]
-    assert [answer.verdict for answer in answers] == [Verdict.NOTHING, Verdict.SENSOR_BIASED]
-
-
-def test_a_model_that_is_trusted_learns_nothing_of_a_motion_that_is_known_roughly():
-    firmware = Firmware(table(1))
-    firmware.move(at_rest().accumulators, 0.02**2)
-    assert not firmware._states[0].mismatch.covariance.variances.any()
 
 
 def test_the_commands_are_those_of_the_last_answer_and_of_a_reset():

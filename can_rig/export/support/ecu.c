@@ -12,7 +12,6 @@ void ecu_init(struct ecu *ecu)
 {
     (void)memset(ecu, 0, sizeof *ecu);
     firmware_init(&ecu->state);
-    firmware_reset(&ecu->state, {zero});
     receiver_init(&ecu->reference, &frame_reference);
     receiver_init(&ecu->feedback, &frame_feedback);
 //: if hears

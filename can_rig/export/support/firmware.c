@@ -15,9 +15,11 @@ void firmware_init(struct layout_state *state)
     (void)memset(memory, 0, sizeof *memory);
     memory->table = controller_table;
     controller_start_up(&memory->table, &memory->state);
+    memory->state.takeover.pending = 1;
 //: else
     (void)memset(state, 0, sizeof *state);
     controller_start_up(&controller_table, state);
+    state->takeover.pending = 1;
 //: end
 }
 

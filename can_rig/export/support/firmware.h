@@ -51,10 +51,12 @@ struct firmware_answer {
 };
 
 //: if blends
-/* Put a memory at rest, as after power-up: mode MODE_INIT, at the speed of the slowest design. */
+/* Begin as after power-up: mode MODE_STANDBY, at the speed of the slowest design. The first step with
+ * both inputs takes over a plant that moves. */
 void firmware_init(struct firmware_memory *memory);
 //: else
-/* Put a state at rest, as after power-up: every memory zero, mode MODE_INIT. */
+/* Begin as after power-up: mode MODE_STANDBY. The first step with both inputs takes over a plant that
+ * moves. */
 void firmware_init(struct layout_state *state);
 //: end
 
@@ -85,8 +87,8 @@ void firmware_reset(struct layout_state *state, real reference);
  * reference: {reference}
  * measurement: {measurement}
  *
- * An input that is missing must be NAN: then the last good commands are held, the models follow
- * them, and the mode is MODE_HOLD.
+ * A missing input must be NAN: the mode is MODE_BLIND then. The model's prediction stands in for
+ * the measurement; without a reference the commands are held.
  */
 //: if blends
 struct firmware_answer firmware_step(struct firmware_memory *memory, real reference,

@@ -7,9 +7,9 @@ after a late command the node computes the actuators' reaction, hold and then dr
 passes the commands to F1. F1 then works on the car's actual inputs, and d̂ shows no false fault.
 
 A controller comes late after a restart, or after standing still for longer than the actuators hold
-a command while ``restart`` listens, and takes over as described in
-``controllers.bumpless_restart``. The first received
-tick shows a late start: a run begins with tick 0. The wire carries 16 bits of the tick; after a
+a command and ``LISTEN_S``. The node then listens for ``LISTEN_S``, lest two controllers drive one
+car, and the controller takes over (``NodeController.take_over``). The first received tick shows a
+late start: a run begins with tick 0. The wire carries 16 bits of the tick; after a
 restart past tick 65536 the node counts ticks modulo 65536, so its ``frames-…`` faults come at the
 wrong time, and the run ends when the plant node falls silent.
 """
@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 
 import can
 
-from can_rig.controllers.protocol import LISTEN_S, Answer, InNode, Inputs, TakeOver, said
+from can_rig.controllers.protocol import LISTEN_S, Answer, InNode, Inputs, said
 from can_rig.errors import BusError, ScenarioError, SilentNodeError
 from can_rig.frames.codec import Record, tick_from, ticks_ahead
 from can_rig.frames.network import Network
@@ -37,6 +37,9 @@ MOST_OTHERS: Final = 30
 
 TRIALS: Final = 5
 """Steps at rest that tell how long a step takes at least."""
+
+FEWEST_SAMPLES: Final = 10
+"""Least ticks of listening, however long a tick is."""
 
 SAME_CLOCK_S: Final = 1.0
 """Time stamps further from ours are of another clock."""
@@ -75,7 +78,6 @@ def warm_up(
     """
     started = controller.start(scenario, network)
     started.act(0.0, 0.0)
-    started.take_over()
     least_s = math.inf
     for _ in range(TRIALS):
         begin_s = clock.now_ns() / NS_PER_S
@@ -124,6 +126,9 @@ class RealTimeControllerNode:
         self._actuators = (Actuator(hold_ticks), Actuator(hold_ticks))  # as the car's should be
         # By tick, modulo; None: F1 has it already.
         self._sent: list[Sent | None] = [None] * self._latency_ticks
+        self._listen_ticks = max(round(LISTEN_S / scenario.tick_s), FEWEST_SAMPLES)
+        held_ticks = hold_ticks + scenario.latency_ticks
+        self._let_go = held_ticks < self._listen_ticks  # the actuators, after listening
         self._most_missed = hold_ticks + round(LISTEN_S / scenario.tick_s)
         self._missed = self._too_late = 0  # in a row: samples, commands
         self._tick = 0  # the next one
@@ -132,7 +137,7 @@ class RealTimeControllerNode:
         self._speed_now = Record(math.nan, -1)
         self._offered_s = 0.0  # the last reference's time stamp
         self._command_ids = {network.command_1.frame_id, network.command_2.frame_id}
-        self._restart: TakeOver | None = self._controller.take_over()
+        self._listened: list[Inputs] | None = []  # the inputs heard; None: the controller drives
         self._waiting: list[Sample] = []
 
     def carry(self, watchdog: Watchdog, tick: int) -> int:
@@ -218,7 +223,7 @@ class RealTimeControllerNode:
         if self._expected is None:
             self._tick = tick
             if tick == 0:
-                self._restart = None  # the run begins with us
+                self._listened = None  # the run begins with us
         self._expected = tick + 1
         now = self._reference_now
         reference = now.value if now.tick == record.tick else math.nan
@@ -237,8 +242,6 @@ class RealTimeControllerNode:
                 self._listen(nothing)
                 continue
             self._look_back(tick, offered_s)
-            if self._restart is not None:
-                self._restart.miss()
             self._controller.step(nothing)
         self._missed += len(ticks)
         if self._missed > self._most_missed:
@@ -268,10 +271,6 @@ class RealTimeControllerNode:
             self._listen(inputs)
             return
         self._look_back(tick, sample.offered_s)
-        if self._restart is not None:
-            inputs = inputs._replace(reference=self._restart.reference(inputs.reference))
-            if self._restart.done:
-                self._restart = None
         answer = self._controller.step(inputs)
         commands = answer.command_1, answer.command_2
         self._end.send_commands(tick, *commands)
@@ -280,24 +279,27 @@ class RealTimeControllerNode:
 
     @property
     def _listens(self) -> bool:
-        return self._restart is not None and self._restart.listens
+        return self._listened is not None
 
     def _begin_restart(self) -> None:
-        self._restart = self._controller.take_over()
+        self._listened = []
         self._too_late = 0
 
     def _listen(self, inputs: Inputs) -> None:
-        assert self._restart is not None
-        self._restart.hear(inputs)
-        if self._restart.listens:
+        """Take in a tick without commands; after enough samples the controller takes over."""
+        assert self._listened is not None
+        self._listened.append(inputs)
+        if len(self._listened) < self._listen_ticks:
             return
-        if not self._restart.heard_enough:
+        heard = [each for each in self._listened if math.isfinite(each.measurement)]
+        if 2 * len(heard) < self._listen_ticks:
             self._begin_restart()
-        else:
-            self._restart.start()
-            self._sent = [None] * self._latency_ticks
-            for actuator, command in zip(self._actuators, self._controller.commands, strict=True):
-                actuator.hear(command)
+            return
+        self._listened = None
+        self._controller.take_over(heard[-1], self._let_go)
+        self._sent = [None] * self._latency_ticks
+        for actuator, command in zip(self._actuators, self._controller.commands, strict=True):
+            actuator.hear(command)
 
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""

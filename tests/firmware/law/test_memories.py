@@ -18,6 +18,7 @@ from firmware_model.law.layout import State
 from firmware_model.law.overflow import clear_memories
 from firmware_model.law.status import FaultState, Mode
 from firmware_model.law.structs import Struct, fields_of
+from firmware_model.law.takeover import end_takeover
 from tests.firmware.law.cases import CAR, TICK_S, other_cars
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
@@ -123,6 +124,7 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation: b
         expected.prediction[name] = 0.0
     start_candidate(table, expected)
     clear_hypotheses(expected)
+    end_takeover(expected.takeover)
     asked = {"estimator.showing_1", "estimator.showing_2", "other_cars.command_1",
              "other_cars.command_2", "other_cars.shown"}  # fmt: skip
     assert changes(state, expected) <= asked  # what each model shows of no command
@@ -162,5 +164,6 @@ def test_where_one_of_the_models_is_lost_nothing_is_known_any_more(path: str) ->
     for name in ("delay_1", "delay_2", "delay_index", "shown_index_1", "shown_index_2"):
         fresh.estimator[name] = state.estimator[name]  # what is on its way still comes
     fresh.reference_shaper.previous_reference = state.reference_shaper.previous_reference
+    fresh.takeover.pending = 1
     start_candidate(table, fresh)
     assert answers(table, state) == answers(table, fresh)

@@ -146,6 +146,7 @@ def test_a_restart_is_the_start_of_a_fresh_controller() -> None:
     signals = signals_without_log(scenario)
     of = controls(scenario, network_of(scenario))
     firmware = Firmware(of.table)
+    firmware.begin()
     inputs = zip(signals.reference_mps2[250:], signals.dstar_mps2[250:], strict=True)
     answers = np.array([firmware.step(*each)[:2] for each in inputs])
     said = np.column_stack([signals.torque_nm, signals.force_difference_n])[250:]

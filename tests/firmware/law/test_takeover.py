@@ -1,0 +1,213 @@
+"""A controller that begins while the plant moves."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import steer_by_wire
+from firmware_model.discretisation.sections import Sections, realisation
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.takeover import LISTENING, largest_variance, observer
+from firmware_model.discretisation.targets import Target
+from firmware_model.firmware import Firmware
+from firmware_model.law.status import FaultState, Mode
+from firmware_model.law.takeover import wanted_level
+from tests.firmware.law.cases import other_cars
+
+TICK_S = 0.001
+PLANT = sample(steer_by_wire(), TICK_S)
+FREQUENCY_RAD_PER_S = 1.3
+MEMORY = 50.0
+
+
+def table_of(**changes: Any) -> Any:
+    specification = DesignSpecification(tau_s=0.05, tau_q_s=0.02)
+    known = {
+        "latency_ticks": 1,
+        "estimator": "zoh",
+        "mismatch": other_cars(2),
+        "on_confirmation": True,
+    } | changes
+    return build(design(steer_by_wire(), specification), Target(tick_s=TICK_S, **known))
+
+
+def model() -> tuple[np.ndarray, np.ndarray]:
+    g1 = table_of().estimator.channel_1
+    phi, _, c, *_ = realisation(Sections(np.array(g1.coefficients[: g1.n], float), TICK_S))
+    return phi, c
+
+
+class Loop:
+    """A plant that somebody else moved so far, and a controller that begins."""
+
+    def __init__(self, firmware: Firmware, working: float = 1.0) -> None:
+        self.firmware, self.working = firmware, working
+        self.state, self.ticks = PLANT.rest, 0
+        self.acting = np.zeros(2)
+
+    def reference(self) -> float:
+        return float(np.sin(FREQUENCY_RAD_PER_S * self.ticks * TICK_S))
+
+    @property
+    def output(self) -> float:
+        return float(PLANT.c @ self.state)
+
+    def run(self, ticks: int, noise: float = 0.0) -> list[Any]:
+        rng, answers = np.random.default_rng(1), []
+        for _ in range(ticks):
+            measured = self.output + noise * rng.standard_normal()
+            answer = self.firmware.step(self.reference(), measured)
+            left = np.array([self.working, 1.0])
+            self.state = PLANT.phi @ self.state + PLANT.gamma @ (left * self.acting)
+            self.acting = np.array([answer.command_1, answer.command_2])
+            self.ticks += 1
+            answers.append(answer)
+        return answers
+
+
+def restarted(away: int, begins: int = 2000) -> tuple[Loop, float]:
+    """A loop in a sine whose controller begins anew after ``away`` ticks without commands.
+
+    Returns:
+        The loop, and the largest torque before.
+    """
+    loop = Loop(Firmware(table_of()))
+    before = loop.run(begins)
+    for _ in range(away):
+        loop.state = PLANT.phi @ loop.state
+        loop.ticks += 1
+    loop.acting = np.zeros(2) if away else loop.acting
+    loop.firmware = Firmware(table_of())
+    loop.firmware.begin()
+    return loop, max(abs(answer.command_1) for answer in before[500:])
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("begins", [1500, 2000, 2500, 3000])
+@pytest.mark.parametrize("away", [0, 30, 300])
+def test_the_car_comes_back_to_its_reference_and_nothing_is_called_a_fault(
+    away: int, begins: int
+) -> None:
+    loop, usual = restarted(away, begins)
+    answers = loop.run(3000)
+    states = {answer.fault_state for answer in answers}
+    assert states <= {FaultState.CLEAR, FaultState.CANNOT_TELL}
+    assert max(abs(answer.command_1) for answer in answers) < 2.0 * usual
+    assert max(abs(answer.command_2) for answer in answers) == 0.0
+    assert abs(loop.output - loop.reference()) < 0.1  # the lag of C
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("begins", [1500, 2000, 2500, 3000])
+def test_a_restart_within_a_tick_moves_the_car_little(begins: int) -> None:
+    loop, usual = restarted(0, begins)
+    undisturbed = Loop(Firmware(table_of()))
+    undisturbed.run(begins)
+    last = loop.acting[0]
+    apart = []
+    for tick in range(1000):
+        (answer,) = loop.run(1)
+        if tick == 0:
+            assert abs(answer.command_1 - last) < 1.2 * usual
+        undisturbed.run(1)
+        apart.append(abs(loop.output - undisturbed.output))
+    assert max(apart) < 0.1
+    assert apart[-1] < 0.005
+
+
+def test_without_a_takeover_the_same_restart_is_a_jump() -> None:
+    """The measure of the tests above: a controller that believes the car at rest."""
+    loop, usual = restarted(0)
+    last = loop.acting[0]
+    loop.firmware = Firmware(table_of())
+    (answer, *_) = loop.run(200)
+    assert abs(answer.command_1 - last) > 1.5 * usual
+
+
+@pytest.mark.compiled
+def test_a_motor_that_died_before_is_found() -> None:
+    loop, _ = restarted(0)
+    loop.working = 0.0
+    answers = loop.run(3000)
+    assert answers[-1].fault_state == FaultState.CONFIRMED
+    assert abs(loop.output - loop.reference()) < 0.1
+
+
+def test_a_plant_at_rest_is_not_taken_over() -> None:
+    """The same bits as of a controller that is told so, noise or not."""
+    begun, told = (Loop(Firmware(table_of(noise_rms=0.01, resolution=0.001))) for _ in range(2))
+    begun.firmware.begin()
+    assert begun.run(300, noise=0.01) == told.run(300, noise=0.01)
+
+
+def test_the_takeover_waits_for_the_first_tick_with_both_inputs() -> None:
+    loop, usual = restarted(0)
+    last = loop.acting[0]
+    for inputs in ((np.nan, np.nan), (1.0, np.nan), (np.nan, loop.output)):
+        answer = loop.firmware.step(*inputs)
+        assert (answer.mode, answer.command_1) == (Mode.BLIND, 0.0)
+    (answer,) = loop.run(1)
+    assert abs(answer.command_1 - last) < 1.2 * usual
+
+
+def test_an_output_that_is_lost_meanwhile_does_not_end_the_takeover() -> None:
+    loop, usual = restarted(0)
+    loop.run(40)
+    for _ in range(40):
+        answer = loop.firmware.step(loop.reference(), np.nan)
+        loop.state = PLANT.phi @ loop.state + PLANT.gamma @ loop.acting
+        loop.acting = np.array([answer.command_1, answer.command_2])
+        loop.ticks += 1
+    answers = loop.run(3000)
+    assert max(abs(answer.command_1) for answer in answers) < 2.0 * usual
+    assert abs(loop.output - loop.reference()) < 0.1
+
+
+@given(st.floats(-9, 9), st.floats(-9, 9))
+def test_the_level_is_what_motion_and_reference_share(reference: float, y: float) -> None:
+    level = wanted_level(reference, y)
+    same = np.sign(reference) == np.sign(y)
+    assert level == (np.copysign(min(abs(reference), abs(y)), y) if same else 0.0)
+
+
+def test_the_observer_is_least_squares_with_a_fading_memory() -> None:
+    phi, c = model()
+    gain, covariance = observer(phi, c, MEMORY)
+    rng, ticks = np.random.default_rng(3), 600
+    heard = rng.standard_normal(ticks)
+    estimate = np.zeros(len(c))
+    for sample_ in heard:
+        estimate = phi @ estimate + gain * (sample_ - c @ estimate)
+    back = [c]  # c Φ^-n: sample n ticks ago, in the state of the next tick
+    inverse = np.linalg.inv(phi)
+    rows = []
+    for _ in range(ticks):
+        rows.append(back[-1] @ inverse)
+        back.append(rows[-1])
+    weights = np.exp(-np.arange(ticks) / MEMORY)
+    lhs = np.array(rows) * weights[:, None]
+    found = np.linalg.lstsq(lhs, heard[::-1] * weights, rcond=None)[0]
+    assert c @ estimate == pytest.approx(c @ found, rel=0.02)
+    spread = np.linalg.pinv(lhs) * weights
+    for ahead in (0, 50, 200):
+        row = c @ np.linalg.matrix_power(phi, ahead)
+        assert row @ covariance @ row == pytest.approx(row @ spread @ spread.T @ row, rel=0.05)
+
+
+def test_the_doubt_is_the_variance_that_noise_leaves() -> None:
+    phi, c = model()
+    gain, covariance = observer(phi, c, MEMORY)
+    rng, trials = np.random.default_rng(2), 2000
+    states = np.zeros((trials, len(c)))
+    for _ in range(round(2.0 * LISTENING * MEMORY)):
+        states = states @ phi.T + np.outer(rng.standard_normal(trials) - states @ c, gain)
+    largest = 0.0
+    for _ in range(1000):
+        largest = max(largest, float(np.var(states @ c)))
+        states = states @ phi.T
+    assert largest_variance(phi, c, covariance) == pytest.approx(largest, rel=0.1)
