@@ -209,6 +209,10 @@ def random_table(
     table.mismatch.n = 0 if random.random() < 0.1 else cars.n + 3
     table.reference_shaper.enabled = random.integers(0, 2)
     table.compensator.on_confirmation = random.integers(0, 2)
+    table.bumpless_transfer.slowest_pace = random.exponential()
+    takeover = table.takeover
+    takeover.enabled = random.integers(0, 2)
+    takeover.listening, takeover.returning, takeover.lasting = np.sort(random.integers(1, 30, 3))
     return tables
 
 
@@ -237,6 +241,8 @@ def random_state(
         state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
     state.mode, state.fault_state = random.integers(0, 4, 2)
     state.hypotheses.verdict = random.integers(0, len(Verdict))
+    state.takeover.pending, state.takeover.active = random.integers(0, 3), random.integers(0, 2)
+    state.takeover.elapsed = random.integers(0, 9)
     state.mismatch.covariance.variances[:] = abs(state.mismatch.covariance.variances)
     return states
 

@@ -126,3 +126,18 @@ def test_a_known_loss_is_taken_over_after_a_short_standby_without_a_bump(firmwar
     answer = firmware.step(1.0, its.y)
     assert (answer.mode, answer.fault_state) == (Mode.RUN, FaultState.CONFIRMED)
     assert abs(answer.command_2) < 0.02 * max(map(abs, forces))
+
+
+def test_a_suspicion_ends_with_standby():
+    """The suspected motion is over: a loss has to show again."""
+    noisy = scheduled(target=replace(TARGET, blind_s=0.04, noise_rms=0.02))
+    firmware, its = Firmware(noisy.table, speeds=noisy.schedule), Car()
+    answer = driven(firmware, LOWEST, 1)[-1]
+    for tick in range(2000):
+        answer = firmware.step(0.3 * math.sin(0.01 * tick), its.y)
+        if answer.fault_state == FaultState.SUSPECTED:
+            break
+        its.follow(answer, left=0.0)
+    assert answer.fault_state == FaultState.SUSPECTED
+    assert driven(firmware, SLOW, 3 * TICKS)[-1].fault_state == FaultState.SUSPECTED
+    assert driven(firmware, LOWEST, 1)[0].fault_state in {FaultState.CLEAR, FaultState.CANNOT_TELL}

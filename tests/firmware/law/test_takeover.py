@@ -138,6 +138,15 @@ def test_a_motor_that_died_before_is_found() -> None:
     assert abs(loop.output - loop.reference()) < 0.1
 
 
+def test_actuators_at_rest_are_met_at_rest() -> None:
+    loop, usual = restarted(30)
+    loop.firmware.begin(at_rest=True)
+    (answer,) = loop.run(1)
+    assert abs(answer.command_1) < 0.01 * usual
+    loop.run(3000)
+    assert abs(loop.output - loop.reference()) < 0.1
+
+
 def test_a_plant_at_rest_is_not_taken_over() -> None:
     """The same bits as of a controller that is told so, noise or not."""
     begun, told = (Loop(Firmware(table_of(noise_rms=0.01, resolution=0.001))) for _ in range(2))

@@ -124,6 +124,7 @@ def test_a_start_leaves_nothing_of_the_memory_and_a_reset_settles(
     text = "".join(f"{r!r} {y!r}\n" for r, y in inputs)
     for arguments in ([], ["1"]):
         firmware = firmware_of(kind)
+        firmware.begin()
         if arguments:
             firmware.reset(1.0)
         answers = run(program, *arguments, input=text).splitlines()
