@@ -120,7 +120,7 @@ def save_scenario(scenario: Scenario, path: str | Path, *, force: bool = False) 
         force: replace an existing file.
 
     Raises:
-        ScenarioError: not a scenario, or one that no file gives.
+        ScenarioError: not a scenario, or a scenario that no file gives.
         LogError: the file exists, or cannot be written.
     """
     if not isinstance(scenario, Scenario):

@@ -379,7 +379,7 @@ def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | 
 
     With several losses, any missed loss counts, and the longest delay. A false alarm is a
     confirmation that begins while no sample can show a loss of the torque; suspicions are counted
-    by the same rule. A controller that says no fault state has none of these figures.
+    by the same rule. A controller without a fault state has none of these figures.
     """
     losses = range(len(scenario.faults))
     found = [detection_of(scenario, signals, at) for at in losses]

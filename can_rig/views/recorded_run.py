@@ -76,7 +76,7 @@ class RecordedRun:
         """A metric as a number; not a number where the run lacks the moment in question.
 
         Raises:
-            RigError: no such metric, or one in words.
+            RigError: no such metric, or a metric in words.
         """
         if name not in self.metrics:
             near = difflib.get_close_matches(name, self.metrics, n=1, cutoff=0.0)

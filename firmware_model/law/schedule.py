@@ -40,9 +40,7 @@ FILTER = (MAX_SPEEDS, MAX_SECTIONS * 5)
 TURN = (MAX_SPEEDS, SIZE * SIZE)
 GAIN = (MAX_SPEEDS, MAX_SECTIONS * 2)
 EACH = (MAX_SPEEDS,)
-BAND = (
-    0.95  # from entering to leaving standby, so that a car at the lowest speed does not alternate
-)
+BAND = 0.95  # a car at the lowest speed does not alternate between standby and run
 
 
 class Constants(Struct):

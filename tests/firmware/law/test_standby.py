@@ -18,7 +18,7 @@ SLOW = 0.5 * LOWEST
 
 
 def driven(firmware, speed, ticks, reference=0.0, measurement=0.0):
-    """The answers of some ticks at one speed."""
+    """The answers of ``ticks`` ticks at one speed."""
     firmware.change_speed(speed)
     return [firmware.step(reference, measurement) for _ in range(ticks)]
 
@@ -74,7 +74,7 @@ def test_the_first_commands_after_standby_are_those_before(firmware, reference, 
 
 
 def test_a_car_that_turns_at_the_end_of_standby_shows_no_fault(firmware):
-    """It goes on as a car does that is released: that is what F1 expects."""
+    """The car goes on like a released car: that is what F1 expects."""
     driven(firmware, SLOW, 3 * TICKS, 0.3, 0.3)
     first = driven(firmware, LOWEST, 1, 0.3, 0.3)[0]
     assert abs(first.fault_estimate) < 1e-9
