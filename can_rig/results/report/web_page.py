@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from can_rig import paged
-from can_rig.drawing import style, uplot
+from can_rig.drawing import bench, style
 from can_rig.drawing.html import Code, page, table
 from can_rig.drawing.names import Names, disturbance_label, fault_label, names_of, printed
 from can_rig.frames.network import Network
@@ -283,10 +283,10 @@ def web_page(
         table(("key", "value"), _leaves(said.as_dict())),
         "</details>",
         f'<script type="application/json" id="run">{_in_a_script(drawn)}</script>',
-        f"<script>{uplot.script()}</script>",
+        f"<script>{bench.text('uPlot.iife.min.js')}</script>",
         f"<script>{_own_script()}</script>",
     ]
-    return page(title, parts, uplot.style() + STYLE)
+    return page(title, parts, bench.text("uPlot.min.css") + STYLE)
 
 
 def _to_shade(
