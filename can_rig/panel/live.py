@@ -19,7 +19,7 @@ from can_rig.drawing.names import names_of, printed, with_unit
 from can_rig.drawing.thinning import BUCKET_S, Decimator
 from can_rig.errors import one_line
 from can_rig.frames import operator_frames
-from can_rig.frames.codec import Receiver
+from can_rig.frames.codec import Receiver, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.logs.columns import EVIDENCE
 from can_rig.plant.faults.injection import injected
@@ -31,7 +31,7 @@ from firmware_model.law.structs import FloatArray
 
 COLUMNS: Final = (
     "time", "reference", "output", "command_1", "command_2", "estimate", "mode", "fault_state",
-    "verdict", "applied_1", "applied_2", *EVIDENCE,
+    "verdict", "applied_1", "applied_2", *EVIDENCE, "x", "y", "heading", "steering",
 )  # fmt: skip
 """Of a row, in the order in which the page gets them."""
 
@@ -39,6 +39,11 @@ FLOAT_FRAME: Final = 1e-3
 """What a frame with a float of 16 bits may round off, of the value."""
 
 UNKNOWN: Final = (math.nan,) * len(EVIDENCE)
+
+MOST_EARLY: Final = 1000
+"""Commands before the feedback of their tick that are remembered."""
+
+NO_MOTION: Final = (math.nan,) * 4
 
 HOLD: Final = 6
 """Updates, some 0.2 s, that a frame waits for earlier ones of the other node."""
@@ -191,6 +196,12 @@ class LiveSignals:
         self._of_sensors = {codec.frame_id for codec in network.witnesses}
         identifiers = operator_frames.identifiers()
         self._applied_id, self._taken_id = identifiers.applied, identifiers.taken
+        self._motion_id = identifiers.motion
+        self._moved_tick: int | None = None
+        self._motion: dict[int, tuple[float, ...]] = {}
+        self._pose = (0.0, 0.0, 0.0)
+        self._commands = {each.frame_id: each for each in (network.command_1, network.command_2)}
+        self._early: deque[int] = deque(maxlen=MOST_EARLY)
         self._operator_ids = frozenset(identifiers)
         self._applied: dict[int, tuple[float, float]] = {}
         self._heard_s: dict[str, float] = {}
@@ -231,6 +242,7 @@ class LiveSignals:
     def _take(self, message: can.Message, now_s: float) -> None:
         node = self._nodes.get(message.arbitration_id)
         if node is not None:
+            self._hear_early(message)
             self._heard_s[node], self.last_heard = now_s, node
             self._rows.take(message)
         elif self._speed is not None and message.arbitration_id == self._speed.codec.frame_id:
@@ -245,12 +257,38 @@ class LiveSignals:
             applied = operator_frames.read_applied(message)
             if applied is not None:
                 self._applied[self._rows.tick] = applied
+        elif message.arbitration_id == self._motion_id:
+            motion = operator_frames.read_motion(message)
+            if motion is not None:
+                self._move(motion)
         elif message.arbitration_id == self._taken_id:
             numbered = operator_frames.read_taken(message)
             if numbered is None or (numbered[1].kind and injected(numbered[1], 0, 1) is None):
                 return  # a damaged frame or an unknown fault
             # the command's frame precedes the frames of the tick in which the command takes effect
             self._taken.append(((self._rows.tick + 1) * self._scenario.tick_s, numbered[1]))
+
+    def _hear_early(self, message: can.Message) -> None:
+        """Note a command that comes before the feedback of its tick, because the panel lags."""
+        codec = self._commands.get(message.arbitration_id)
+        says = None if codec is None else codec.layout.tick(message.data)
+        ahead = 0 if says is None else ticks_ahead(says, self._rows.tick)
+        if ahead > 0:
+            self._early.append(self._rows.tick + ahead)
+
+    def _move(self, motion: operator_frames.Motion) -> None:
+        """Integrate a car's position and heading since its last motion."""
+        tick, (x_m, y_m, heading) = self._rows.tick, self._pose
+        ticks = 0 if self._moved_tick is None else tick - self._moved_tick
+        passed_s, self._moved_tick = ticks * self._scenario.tick_s, tick
+        course = heading + 0.5 * passed_s * motion.yaw_rate_rad_per_s + motion.side_slip_rad
+        along_m = passed_s * motion.speed_mps
+        self._pose = (
+            x_m + along_m * math.cos(course),
+            y_m + along_m * math.sin(course),
+            heading + passed_s * motion.yaw_rate_rad_per_s,
+        )
+        self._motion[tick] = (*self._pose, motion.steering_angle_rad)
 
     def _hear_sensor(self, receiver: Receiver, message: can.Message) -> None:
         codec, said = receiver.codec, receiver.accept(message)
@@ -271,7 +309,13 @@ class LiveSignals:
 
     def _row(self, tick: int, *heard: float) -> tuple[float, ...]:
         evidence = self._evidence(tick, *heard[:4])
-        return (tick * self._scenario.tick_s, *heard, *self._applied_in(tick), *evidence)
+        return (
+            tick * self._scenario.tick_s,
+            *heard,
+            *self._applied_in(tick),
+            *evidence,
+            *self._motion.pop(tick, NO_MOTION),
+        )
 
     def _evidence(
         self, tick: int, reference: float, measured: float, *sent: float
@@ -323,7 +367,8 @@ class LiveSignals:
         lamps.time_s = float(rows[-1, 0])
         virtual_s = len(rows) * tick_s
         self._smooth("bus_load", bits / (self._scenario.bus.bitrate * virtual_s))
-        self._count(np.isfinite(rows))
+        ticks = np.round(rows[:, 0] / tick_s)
+        self._count(np.isfinite(rows), np.isin(ticks, list(self._early)))
         for name, column, words in (
             ("mode", MODE, self._status.modes),
             ("fault_state", FAULT_STATE, self._status.fault_states),
@@ -333,14 +378,14 @@ class LiveSignals:
             if len(said):
                 setattr(lamps, name, words.get(int(said[-1]), ""))
 
-    def _count(self, known: NDArray[np.bool_]) -> None:
+    def _count(self, known: NDArray[np.bool_], early: NDArray[np.bool_]) -> None:
         """Count the ticks without commands and the ticks that the panel has not heard.
 
         A listener that lags loses whole ticks, and parts of the ticks beside. A tick that lacks a
         command therefore counts only between ticks that were heard.
         """
         heard = known[:, OUTPUT] & known[:, [COMMAND_1, COMMAND_2, ESTIMATE, MODE]].any(axis=1)
-        answered = known[:, [COMMAND_1, COMMAND_2]].all(axis=1)
+        answered = known[:, [COMMAND_1, COMMAND_2]].all(axis=1) | early
         self.lamps.unheard_ticks += int((~heard).sum())
         before = self._counted
         both = np.concatenate([before, np.stack([heard, answered], axis=1)])

@@ -164,7 +164,7 @@ class Screen:
             "duration_s": session.scenario.duration_s,
             "columns": COLUMNS,
             "events": self.events,
-            **setup(session.scenario, session.live.confirm),
+            **setup(session.scenario, network_of(session.scenario), session.live.confirm),
         }
         permission = {} if may_touch is None else {"may_touch": may_touch}
         return json.dumps({"hello": hello, **permission})

@@ -82,6 +82,7 @@ BENCH: Final = {
     "uplot.js": "uPlot.iife.min.js",
     "uplot.css": "uPlot.min.css",
     "charts.js": "charts.js",
+    "scene.js": "scene.js",
     "bench.css": "bench.css",
 }
 

@@ -7,19 +7,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from can_rig.drawing.bench import Chart, Curve
 from can_rig.drawing.names import HOW, Names, names_of, with_unit
 from can_rig.frames import operator_frames
-from can_rig.logs.columns import EVIDENCE
-from can_rig.results.isolation import in_words
+from can_rig.frames.network import Network
+from can_rig.results.curves import charts_of, curves_of
+from can_rig.results.motion import dead_of, setting_of
 from can_rig.scenario.fault_settings import CHANNELS, NUMBER, SENSOR
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
-
-EVIDENCE_COLOURS: Final = ("orange", "gold", "violet", "blue", "green", "pink", "grey")
-
-DASHES: Final = ((), (8, 3), (3, 3), (), (8, 3), (3, 3), (10, 3, 2, 3))
-"""Of the evidence, so that colour is not the only difference."""
 
 MOVED_BY: Final = 2.0
 """Largest shift of the reference, in amplitudes of the scenario's reference."""
@@ -38,15 +33,16 @@ NUMBERS: Final = {
 """Words and unit of each number of a fault."""
 
 
-def setup(scenario: Scenario, confirm: float | None) -> dict[str, Any]:
+def setup(scenario: Scenario, network: Network, confirm: float | None) -> dict[str, Any]:
     """Curves, charts, faults and the range of the reference's shift, for JSON.
 
     Args:
         scenario: the run.
+        network: the frames.
         confirm: the evidence that confirms a loss; None: the controller has no evidence.
     """
     names = names_of(scenario.plant)
-    curves, charts = _curves(names, confirm), _charts(names, confirm)
+    curves, charts = curves_of(names, network, confirm), charts_of(names, confirm)
     amplitude = float(np.nanmax(np.abs(reference(scenario)), initial=0.0)) or 1.0
     return {
         "curves": [asdict(curve) for curve in curves],
@@ -56,48 +52,9 @@ def setup(scenario: Scenario, confirm: float | None) -> dict[str, Any]:
         "quick": _quick(names),
         "moved_by": float(f"{MOVED_BY * amplitude:.2g}"),
         "output": names.output._asdict(),
+        "scene": setting_of(scenario),
+        "dead": dead_of(scenario),
     }
-
-
-def _curves(names: Names, confirm: float | None) -> list[Curve]:
-    unit = names.output.unit
-    curves = [
-        Curve("output", names.output.name, unit, "blue", 2.0),
-        Curve("reference", "reference", unit, "ink", 1.2, (5, 4)),
-        Curve("error", "reference - output", unit, "blue"),
-        Curve("estimate", "fault estimate", unit, "green"),
-    ]
-    for number, signal in enumerate(names[1:], 1):
-        pale = Curve(f"command_{number}", f"{signal.name} commanded", signal.unit, "pale", 3.0)
-        curves += [
-            pale,
-            Curve(f"applied_{number}", f"{signal.name} applied", signal.unit, "orange"),
-        ]
-    curves += [
-        Curve("mode", "mode", colour="blue", stepped=True),
-        Curve("fault_state", "fault state", colour="orange", stepped=True),
-    ]
-    if confirm is not None:
-        looks = zip(EVIDENCE, EVIDENCE_COLOURS, DASHES, strict=True)
-        for verdict, (column, colour, dash) in enumerate(looks, 1):
-            curves.append(Curve(column, in_words(verdict, names), "", colour, 1.6, dash))
-        curves.append(Curve("confirm", "confirms a loss", "", "ink", 1.2, (2, 4)))
-    return curves
-
-
-def _charts(names: Names, confirm: float | None) -> list[Chart]:
-    output, *commands = names
-    charts = [
-        Chart(output.name, ("output", "reference")),
-        Chart("error", ("error",)),
-        *(
-            Chart(signal.name, (f"command_{number}", f"applied_{number}"))
-            for number, signal in enumerate(commands, 1)
-        ),
-    ]
-    if confirm is not None:
-        charts.append(Chart("evidence of each fault", (*EVIDENCE, "confirm"), "asinh"))
-    return charts
 
 
 def _places(names: Names) -> list[dict[str, Any]]:

@@ -77,7 +77,8 @@ class Charts {
     for (const { chart, values } of this.plots) {
       chart.keys.forEach((key, i) => {
         const v = (this.data[key] || [])[at], p = pin === null ? null : (this.data[key] || [])[pin];
-        values[i].textContent = shown(v) + (pin === null || v === null || p === null ? "" : ` (Δ ${shown(v - p)})`);
+        const { words } = this.curves[key];
+        values[i].textContent = words && v !== null && v !== undefined ? words[v] || v : shown(v) + (pin === null || v === null || p === null ? "" : ` (Δ ${shown(v - p)})`);
       });
     }
     const t = (s) => `${s.toFixed(3)} s`;
@@ -104,8 +105,8 @@ class Charts {
     if (!n || !width) return;
     const captions = this.plots.reduce((sum, { caption }) => sum + caption.offsetHeight, 0);
     const height = this.height || Math.max(LEAST_HEIGHT, Math.floor((this.place.clientHeight - TIME_AXIS - captions) / n));
-    this.plots.forEach(({ plot }, i) => {
-      plot.setSize({ width, height: height + (i === n - 1 ? TIME_AXIS : 0) });
+    this.plots.forEach(({ plot, chart }, i) => {
+      plot.setSize({ width, height: (this.height && this.curves[chart.keys[0]].words ? 0.7 : 1) * height + (i === n - 1 ? TIME_AXIS : 0) });
     });
     this.draw();
   }
@@ -144,7 +145,7 @@ class Charts {
     more.onchange = () => this.addTo(chart, more.value);
     const close = element("button", { className: "icon", textContent: "×", ariaLabel: `remove the chart ${chart.title}` });
     close.onclick = () => this.remove(chart);
-    const unit = this.curves[chart.keys[0]].unit;
+    const { unit } = this.curves[chart.keys[0]];
     const title = element("b", { textContent: chart.title + (unit ? ` in ${unit}` : "") });
     return { values, caption: element("figcaption", {}, title, keys, more, close) };
   }
@@ -154,24 +155,26 @@ class Charts {
     const figure = element("figure", { className: "chart", tabIndex: 0, ariaLabel: `${chart.title} over time; arrow keys move the cursor, Enter sets the mark, plus and minus zoom` }, caption);
     this.place.append(figure);
     const grid = { stroke: rule, width: 1 }, font = "12px system-ui, sans-serif";
-    const splits = { linear: {}, log: DECADES, asinh: ASINH }[chart.scale];
+    const words = this.curves[chart.keys[0]].words;
+    const splits = words ? wordAxis(words) : { linear: {}, log: DECADES, asinh: ASINH }[chart.scale];
     const plot = new uPlot({
       width: Math.max(this.place.clientWidth, 50), height: LEAST_HEIGHT, padding: [6, 12, isLast ? 0 : 6, 0],
       cursor: { sync: { key: "bench" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { this.zoom(null); return null; } } },
-      scales: { x: { time: false }, y: { linear: {}, log: { distr: 3 }, asinh: { distr: 4, asinh: 10 } }[chart.scale] },
+      scales: { x: { time: false }, y: words ? { range: wordRange(words) } : { linear: {}, log: { distr: 3 }, asinh: { distr: 4, asinh: 10 } }[chart.scale] },
       axes: [
         { stroke: ink, grid, font, size: isLast ? TIME_AXIS : 0, values: isLast ? (u, ticks) => ticks.map((v) => `${Number(v.toPrecision(7))} s`) : () => [], ticks: { show: isLast, stroke: rule } },
-        { stroke: ink, grid, font, size: 62, space: 20, ticks: { stroke: rule }, ...splits },
+        { stroke: ink, grid, font, size: 78, space: 14, ticks: { stroke: rule }, ...splits },
       ],
       series: [{}, ...chart.keys.map((key) => {
-        const { colour: name, width, dash, stepped } = this.curves[key];
-        return { stroke: colour(name), width, dash: dash.length ? dash : undefined, points: { show: false }, paths: stepped ? uPlot.paths.stepped({ align: 1 }) : undefined };
+        const { colour: name, width, dash, stepped, sets_scale } = this.curves[key];
+        return { stroke: colour(name), width, dash: dash.length ? dash : undefined, points: { show: false }, spanGaps: this.spanGaps, auto: sets_scale, paths: stepped ? uPlot.paths.stepped({ align: 1 }) : undefined };
       })],
       hooks: {
         drawClear: [(u) => this.shade(u)],
         setCursor: [(u) => {
           if (this.moving || !u.cursor.event) return;
           this.at = u.cursor.left < 0 ? null : u.posToVal(u.cursor.left, "x");
+          if (this.onCursor) this.onCursor(this.at);
           this.showValues();
         }],
         setSelect: [(u) => {
@@ -235,12 +238,20 @@ class Charts {
 
 // Axes with a number for each decade, and for some values on both sides of zero.
 const decades = (u, splits) => splits.map((v) => (v !== null && Math.abs(Math.log10(v) % 1) < 1e-6 ? v : null));
-const DECADES = { filter: decades, grid: { filter: decades }, values: (u, splits) => splits.map((v) => (v === null ? "" : v.toExponential(0))) };
+const DECADES = { filter: decades, ticks: { filter: decades, stroke: "#8888" }, grid: { filter: decades }, values: (u, splits) => splits.map((v) => (v === null ? "" : v.toExponential(0))) };
 const STEPS = [-1e6, -1e4, -100, 0, 100, 1e4, 1e6, 1e8, 1e10, 1e12];
 const ASINH = {
   splits: (u, axis, least, most) => STEPS.filter((v) => v >= least && v <= most), filter: (u, ticks) => ticks,
   values: (u, ticks) => ticks.map((v) => (Math.abs(v) < 1e4 ? v : v.toExponential(0))),
 };
+
+const wordRange = (words) => { const codes = Object.keys(words).map(Number); return [Math.min(...codes) - 0.5, Math.max(...codes) + 0.5]; };
+
+// An axis of a state: a word for each code.
+function wordAxis(words) {
+  const codes = Object.keys(words).map(Number);
+  return { splits: (u, axis, least, most) => codes.filter((v) => v >= least && v <= most), values: (u, ticks) => ticks.map((v) => words[v]), filter: (u, ticks) => ticks };
+}
 
 // Times of each state of a column of codes: [{begin, end, code}].
 function spans(time, codes) {

@@ -3,7 +3,7 @@
 
 const WINDOW_S = 20, KEPT_S = 180;
 const $ = (id) => document.getElementById(id);
-const charts = new Charts($("charts"), $("bar"), { windowS: WINDOW_S });
+const charts = new Charts($("charts"), $("bar"), { windowS: WINDOW_S }), scene = new Scene($("scene"));
 
 let hello = null, mayTouch = false, lamps = {}, state = { name: "connecting", says: "", orders: [] }, rows = [], stale = false;
 
@@ -23,6 +23,33 @@ function draw() {
   const data = drawn(), shade = { 1: "suspect", 2: "confirmed" };
   charts.shades = spans(data.time, data.fault_state).filter(({ code }) => shade[code]).map((span) => ({ ...span, colour: shade[span.code] }));
   charts.setData(data);
+  if (hello.scene) showScene(data);
+}
+
+// The rows of the scene: of a car, those with a position; its lane is its path until the first
+// fault, and from then on where the reference leads.
+let moved = null;
+function showScene(data) {
+  const car = hello.scene.kind === "car", names = ["time", "output", "reference", "applied_1", "applied_2", "x", "y", "heading", "steering", "lane_x", "lane_y", "lane_heading"];
+  if (!moved) moved = { ...Object.fromEntries(names.map((name) => [name, []])), row: -Infinity };
+  let i = data.time.length;
+  while (i > 0 && data.time[i - 1] > moved.row) i--;
+  for (; i < data.time.length; i++) {
+    if (data.applied_1[i] === null || data.output[i] === null || (car && data.x[i] === null)) continue;
+    const n = moved.time.length - 1, t = data.time[i];
+    for (const name of names.slice(0, 9)) moved[name].push(data[name][i]);
+    if (car) {
+      const passed = n < 0 ? 0 : t - moved.time[n], begun = scene.dead.some((d) => d.begin <= t) && n >= 0;
+      const speed = lamps.speed_mps === null || lamps.speed_mps === undefined ? hello.scene.speed : lamps.speed_mps;
+      const heading = begun ? moved.lane_heading[n] + (passed * data.reference[i]) / Math.max(speed, 1) : Math.atan2(moved.y[n + 1] - (n < 5 ? 0 : moved.y[n - 5]), moved.x[n + 1] - (n < 5 ? -1 : moved.x[n - 5]));
+      moved.lane_heading.push(heading);
+      moved.lane_x.push(begun ? moved.lane_x[n] + passed * speed * Math.cos(heading) : data.x[i]);
+      moved.lane_y.push(begun ? moved.lane_y[n] + passed * speed * Math.sin(heading) : data.y[i]);
+    }
+    moved.row = t;
+  }
+  if (moved.time.length > 12000) for (const name of names) moved[name] = moved[name].slice(4000);
+  if (moved.time.length) scene.show(moved, moved.time.length - 1);
 }
 
 function append(buffer) {
@@ -86,6 +113,8 @@ function addEvent(event) {
   const words = parts.filter((p) => p !== null && p !== undefined && p !== "").join(" ");
   const item = element("li", { textContent: `${event.time_s.toFixed(2)} s  ${event.action.toLowerCase().replace("_", " ")} ${words}` });
   $("events").append(item); $("events").scrollTop = 1e6;
+  if (event.action === "INJECT") scene.dead.push({ place: event.place, begin: event.time_s, end: event.duration_s ? event.time_s + event.duration_s : null, words });
+  if (event.action === "CLEAR") scene.dead.forEach((d) => { if (["all", d.place].includes(event.place) && (d.end === null || d.end > event.time_s)) d.end = event.time_s; });
   if (["INJECT", "CLEAR"].includes(event.action)) charts.marks.push(event);
 }
 
@@ -143,6 +172,7 @@ function begin(said) {
     return button;
   }));
   Object.assign($("move"), { min: -hello.moved_by, max: hello.moved_by, step: hello.moved_by / 40, value: 0 }); showMoved();
+  scene.describe(hello.scene, hello.dead); moved = null;
   $("events").replaceChildren(); hello.events.forEach(addEvent);
   for (const id of ["scenario", "start", "stop"]) $(id).hidden = !hello.scenarios.length;
   charts.describe(hello.curves, hello.charts);

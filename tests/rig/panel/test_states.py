@@ -206,7 +206,7 @@ def test_the_load_is_the_load_of_the_scenario_without_the_frames_of_the_panel(tm
 @pytest.mark.parametrize("name", ["pendulum", "two-masses"])
 def test_controls_have_the_names_and_units_of_the_plant(name):
     plant = load(name).plant
-    made = setup(load(name), 20.0)
+    made = setup(load(name), network_of(load(name)), 20.0)
     signals = plant.input_1, plant.input_2, plant.output
     for place, signal in zip(made["places"], signals, strict=True):
         assert signal.name in place["words"]
