@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.requirements import Requirement, margin
 from can_rig.campaigns.settings import SCENARIO, Scalar
+from can_rig.drawing.names import unit_of
 from can_rig.errors import RigError, ScenarioError, one_line
 from can_rig.files import atomic
 from can_rig.results.metrics import metrics_of
-from can_rig.views.signal_table import unit
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -120,7 +120,7 @@ def _for_pandas(columns: pa.Schema) -> dict[str, str]:
         for field in columns
         if pa.types.is_boolean(field.type)
     ]  # fmt: skip
-    units = {name: unit(name) for name in columns.names if unit(name)}
+    units = {name: unit_of(name) for name in columns.names if unit_of(name)}
     described = {"columns": truths, "index_columns": [], "column_indexes": []}
     return {"pandas": json.dumps(described), "PANDAS_ATTRS": json.dumps({"units": units})}
 

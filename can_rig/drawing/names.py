@@ -75,6 +75,23 @@ def with_unit(text: str, unit: str) -> str:
     return f"{text} {unit}".rstrip()
 
 
+_UNITS: Final = {  # by the last word of a column, or by the words around "per"
+    "hz": "Hz", "hour": "h", "kg": "kg", "kgm2": "kg m²", "m": "m", "mps": "m/s", "mps2": "m/s²",
+    "n": "N", "nm": "N m", "nms": "N m s", "percent": "%", "rad": "rad", "s": "s",
+}  # fmt: skip
+
+
+def unit_of(column: str) -> str:
+    """The unit of a column by the suffix of its name; "" without a unit."""
+    *before, last = column.split("_")
+    if not before or last not in _UNITS:
+        return ""
+    if before[-1] != "per":
+        return _UNITS[last]
+    over = _UNITS.get("".join(before[-2:-1]), "1" if last == "hour" else "")
+    return f"{over}/{_UNITS[last]}" if over else ""
+
+
 def printed(unit: str) -> str:
     """A DBC unit (``m/s^2``, ``N.m``) in print (``m/s²``, ``N m``)."""
     return unit.replace("^2", "²").replace("N.m", "N m")

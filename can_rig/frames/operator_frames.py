@@ -25,7 +25,7 @@ SHORTEST_S: Final = 0.1
 LONGEST_S: Final = 25.5
 """Longest time of a fault with a set end."""
 
-_NAMES: Final = ("CONTROL", "STATE", "APPLIED", "TAKEN")
+_NAMES: Final = ("CONTROL", "STATE", "APPLIED", "TAKEN", "MOTION")
 
 Action = Literal["INJECT", "CLEAR", "MOVE_REFERENCE", "PACE", "PAUSE", "STEP"]
 
@@ -70,12 +70,13 @@ def _message(name: str) -> DbcMessage:
 
 
 class Identifiers(NamedTuple):
-    """Of ``RIG_CONTROL``, ``RIG_STATE``, ``RIG_APPLIED`` and ``RIG_TAKEN``."""
+    """Of the five messages."""
 
     control: int
     state: int
     applied: int
     taken: int
+    motion: int
 
 
 @cache
@@ -207,6 +208,34 @@ def read_applied(message: Message) -> tuple[float, float] | None:
         return None
     said = cast(dict[str, float], _message("RIG_APPLIED").decode(bytes(message.data)))
     return float(said["Applied1"]), float(said["Applied2"])
+
+
+class Motion(NamedTuple):
+    """What one ``RIG_MOTION`` says of a car."""
+
+    yaw_rate_rad_per_s: float
+    side_slip_rad: float
+    steering_angle_rad: float
+    speed_mps: float
+
+
+def motion_message(motion: Motion) -> Message:
+    """The frame of ``motion``; values saturate."""
+    frame = _message("RIG_MOTION")
+    data = {
+        signal.name: min(max(value, float(signal.minimum or 0)), float(signal.maximum or 0))
+        for signal, value in zip(frame.signals, motion, strict=True)
+    }
+    content = frame.encode(data)
+    return Message(arbitration_id=frame.frame_id, is_extended_id=False, data=content)
+
+
+def read_motion(message: Message) -> Motion | None:
+    """What a ``RIG_MOTION`` says; None for a wrong length."""
+    if len(message.data) != FRAME_BYTES:
+        return None
+    said = cast(dict[str, float], _message("RIG_MOTION").decode(bytes(message.data)))
+    return Motion(*(float(value) for value in said.values()))
 
 
 def _protected(name: str, data: Mapping[str, float | str], counter: int) -> Message:

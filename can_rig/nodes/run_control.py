@@ -16,6 +16,9 @@ from can_rig.plant.faults.injection import FAULT_ACTIONS, Injection
 from can_rig.scenario.settings import Scenario
 
 TELL_EVERY_NS: Final = NS_PER_S // 20
+MOTION_EVERY_NS: Final = NS_PER_S // 50
+MOTION: Final = operator_frames.Motion._fields
+YAW_RATE: Final = MOTION[0]
 LATE_NS: Final = NS_PER_S // 10
 """A tick that is later than this is not caught up with: the pace begins anew."""
 
@@ -59,6 +62,8 @@ class RunControl:
         self._due_ns = clock.now_ns()
         self._told_ns = 0
         self._counter = 0
+        self._ticks = 0  # since the last motion
+        self._at_rest = operator_frames.Motion(0.0, 0.0, 0.0, scenario.plant.speed_mps)
         self._next = 0
         self._last_checksum = 0
         self.refused = 0
@@ -95,9 +100,16 @@ class RunControl:
         self._tell()
 
     def applied(self) -> None:
-        """Report the actuators' applied commands of this tick to viewers."""
-        if self._interaction.injectable and not self._interaction.replayed:
-            self._send(operator_frames.applied_message(*self._end.plant.applied))
+        """Report to viewers what the actuators apply in this tick, and now and then the motion."""
+        if not self._interaction.injectable or self._interaction.replayed:
+            return
+        plant = self._end.plant
+        self._send(operator_frames.applied_message(*plant.applied))
+        self._ticks += 1
+        if self._ticks * self._tick_ns >= MOTION_EVERY_NS and YAW_RATE in plant.reported:
+            self._ticks = 0
+            said = {name: plant.reported[name] for name in MOTION if name in plant.reported}
+            self._send(operator_frames.motion_message(self._at_rest._replace(**said)))
 
     def _listen(self, watchdog: Watchdog, hear: Callable[[can.Message], None], tick: int) -> None:
         while True:

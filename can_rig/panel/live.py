@@ -12,13 +12,14 @@ from typing import Any, Final
 
 import can
 import numpy as np
+from numpy.typing import NDArray
 
 from can_rig.assessment.frame_length import FrameError, worst_case_bits
 from can_rig.drawing.names import names_of, printed, with_unit
 from can_rig.drawing.thinning import BUCKET_S, Decimator
 from can_rig.errors import one_line
 from can_rig.frames import operator_frames
-from can_rig.frames.codec import Receiver
+from can_rig.frames.codec import Receiver, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.logs.columns import EVIDENCE
 from can_rig.plant.faults.injection import injected
@@ -30,7 +31,7 @@ from firmware_model.law.structs import FloatArray
 
 COLUMNS: Final = (
     "time", "reference", "output", "command_1", "command_2", "estimate", "mode", "fault_state",
-    "verdict", "applied_1", "applied_2", *EVIDENCE,
+    "verdict", "applied_1", "applied_2", *EVIDENCE, "x", "y", "heading", "steering",
 )  # fmt: skip
 """Of a row, in the order in which the page gets them."""
 
@@ -39,11 +40,20 @@ FLOAT_FRAME: Final = 1e-3
 
 UNKNOWN: Final = (math.nan,) * len(EVIDENCE)
 
+MOST_EARLY: Final = 1000
+"""Commands before the feedback of their tick that are remembered."""
+
+NO_MOTION: Final = (math.nan,) * 4
+
 HOLD: Final = 6
 """Updates, some 0.2 s, that a frame waits for earlier ones of the other node."""
 
+ERROR_PAUSE_S: Final = 0.05
+"""Between two attempts to receive from a bus that fails."""
+
 SILENT_S: Final = 0.5
-"""After which a node that has spoken is called silent."""
+SILENT_TICKS: Final = 5
+"""After both of these times, a node that has spoken is called silent."""
 
 ENDS: Final = {
     "plant": ("reference", "feedback"),
@@ -51,10 +61,12 @@ ENDS: Final = {
 }
 """By which frames a node is heard."""
 
-OUTPUT, COMMAND_1, COMMAND_2, MODE, FAULT_STATE, VERDICT = (
+OUTPUT, COMMAND_1, COMMAND_2, ESTIMATE, MODE, FAULT_STATE, VERDICT = (
     COLUMNS.index(name)
-    for name in ("output", "command_1", "command_2", "mode", "fault_state", "verdict")
-)
+    for name in (
+        "output", "command_1", "command_2", "estimate", "mode", "fault_state", "verdict",
+    )
+)  # fmt: skip
 
 
 @dataclass
@@ -69,9 +81,11 @@ class Lamps:
     silent: list[str] = field(default_factory=list)
     """Nodes that have spoken, and do no more."""
     unanswered_ticks: int = 0
-    """Ticks with a feedback and without both commands."""
+    """Ticks with an answer of the controller that lacks a command."""
+    unheard_ticks: int = 0
+    """Ticks without a feedback, or without any frame of the controller: lost or not sent."""
     bus_load: float | None = None
-    """Frames at their longest, at the bit rate and the tick of the scenario; 1 is full."""
+    """Frames of the scenario at their longest, at its bit rate and tick; 1 is full."""
     ticks_per_s: float = 0.0
     speed_mps: float | None = None
     """Of the car, where a frame says it."""
@@ -105,9 +119,12 @@ class Frames(can.Listener):
         self._held: list[can.Message] = []
         self._newest_s: deque[float] = deque([-math.inf] * HOLD, HOLD)
         self.errors: Counter[str] = Counter()
+        self.failed: str | None = None
+        """The bus's error, until the next frame."""
 
     def on_message_received(self, msg: can.Message) -> None:
         """Keep a frame until the next update."""
+        self.failed = None
         (self.news if msg.arbitration_id == self._at_once else self._waiting).append(msg)
 
     def in_order(self) -> list[can.Message]:
@@ -125,9 +142,24 @@ class Frames(can.Listener):
         ready, self._held = self._held[:split], self._held[split:]
         return ready
 
+    @property
+    def has_some(self) -> bool:
+        """Whether frames of nodes wait."""
+        return bool(self._waiting)
+
+    def begin_again(self, keep_waiting: bool) -> None:
+        """Forget the frames of a run that ended; waiting frames may belong to the next run."""
+        self._held.clear()
+        self._newest_s = deque([-math.inf] * HOLD, HOLD)
+        if not keep_waiting:
+            self._waiting.clear()
+            self.news.clear()
+
     def on_error(self, exc: Exception) -> None:
         """Count a bus error; without this method python-can ends its thread with a traceback."""
-        self.errors[one_line(exc)] += 1
+        self.failed = one_line(exc)
+        self.errors[self.failed] += 1
+        time.sleep(ERROR_PAUSE_S)  # a bus that is down fails again at once
 
 
 class LiveSignals:
@@ -136,12 +168,13 @@ class LiveSignals:
     Args:
         scenario: the scenario of the nodes on the bus.
         network: the frames of the bus.
+        frames: gets the frames; None: a new listener.
 
     Raises:
         ScenarioError: the design fails.
     """
 
-    def __init__(self, scenario: Scenario, network: Network) -> None:
+    def __init__(self, scenario: Scenario, network: Network, frames: Frames | None = None) -> None:
         self._scenario = scenario
         self._reasoning = Reasoning(scenario, network) if scenario.controller.is_ours else None
         self.confirm: Final = None if self._reasoning is None else self._reasoning.confirm
@@ -163,26 +196,36 @@ class LiveSignals:
         self._of_sensors = {codec.frame_id for codec in network.witnesses}
         identifiers = operator_frames.identifiers()
         self._applied_id, self._taken_id = identifiers.applied, identifiers.taken
+        self._motion_id = identifiers.motion
+        self._moved_tick: int | None = None
+        self._motion: dict[int, tuple[float, ...]] = {}
+        self._pose = (0.0, 0.0, 0.0)
+        self._commands = {each.frame_id: each for each in (network.command_1, network.command_2)}
+        self._early: deque[int] = deque(maxlen=MOST_EARLY)
+        self._operator_ids = frozenset(identifiers)
         self._applied: dict[int, tuple[float, float]] = {}
         self._heard_s: dict[str, float] = {}
+        self.last_heard: str | None = None
+        """The node with the newest frame; None before the first frame."""
         self._bits: dict[tuple[bool, bool, int], int] = {}
         self._looked_s = time.monotonic()
-        self.frames = Frames(identifiers.state)
+        self.frames = frames or Frames(identifiers.state)
         self.lamps = Lamps()
         self.state: operator_frames.State | None = None
         """Of the plant node, where it says one."""
         self._taken: list[tuple[float, operator_frames.Command]] = []
+        self._told_s = 0.0  # the time of the last state
+        self._counted = np.ones((1, 2), dtype=np.bool_)  # the last ticks: heard, answered
 
     def update(self) -> FloatArray:
         """The rows (n, columns) for the screen that are complete since the last call."""
         now_s = time.monotonic()
         bits = 0
         while self.frames.news:
-            message = self.frames.news.popleft()
-            bits += self._length(message)
-            self._hear_state(message)
+            self._hear_state(self.frames.news.popleft())
         for message in self.frames.in_order():
-            bits += self._length(message)
+            if message.arbitration_id not in self._operator_ids:
+                bits += self._length(message)
             self._take(message, now_s)
         first = self._rows.first_tick
         rows = np.array(
@@ -199,7 +242,8 @@ class LiveSignals:
     def _take(self, message: can.Message, now_s: float) -> None:
         node = self._nodes.get(message.arbitration_id)
         if node is not None:
-            self._heard_s[node] = now_s
+            self._hear_early(message)
+            self._heard_s[node], self.last_heard = now_s, node
             self._rows.take(message)
         elif self._speed is not None and message.arbitration_id == self._speed.codec.frame_id:
             said = self._speed.accept(message)
@@ -213,12 +257,38 @@ class LiveSignals:
             applied = operator_frames.read_applied(message)
             if applied is not None:
                 self._applied[self._rows.tick] = applied
+        elif message.arbitration_id == self._motion_id:
+            motion = operator_frames.read_motion(message)
+            if motion is not None:
+                self._move(motion)
         elif message.arbitration_id == self._taken_id:
             numbered = operator_frames.read_taken(message)
             if numbered is None or (numbered[1].kind and injected(numbered[1], 0, 1) is None):
                 return  # a damaged frame or an unknown fault
             # the command's frame precedes the frames of the tick in which the command takes effect
             self._taken.append(((self._rows.tick + 1) * self._scenario.tick_s, numbered[1]))
+
+    def _hear_early(self, message: can.Message) -> None:
+        """Note a command that comes before the feedback of its tick, because the panel lags."""
+        codec = self._commands.get(message.arbitration_id)
+        says = None if codec is None else codec.layout.tick(message.data)
+        ahead = 0 if says is None else ticks_ahead(says, self._rows.tick)
+        if ahead > 0:
+            self._early.append(self._rows.tick + ahead)
+
+    def _move(self, motion: operator_frames.Motion) -> None:
+        """Integrate a car's position and heading since its last motion."""
+        tick, (x_m, y_m, heading) = self._rows.tick, self._pose
+        ticks = 0 if self._moved_tick is None else tick - self._moved_tick
+        passed_s, self._moved_tick = ticks * self._scenario.tick_s, tick
+        course = heading + 0.5 * passed_s * motion.yaw_rate_rad_per_s + motion.side_slip_rad
+        along_m = passed_s * motion.speed_mps
+        self._pose = (
+            x_m + along_m * math.cos(course),
+            y_m + along_m * math.sin(course),
+            heading + passed_s * motion.yaw_rate_rad_per_s,
+        )
+        self._motion[tick] = (*self._pose, motion.steering_angle_rad)
 
     def _hear_sensor(self, receiver: Receiver, message: can.Message) -> None:
         codec, said = receiver.codec, receiver.accept(message)
@@ -230,15 +300,22 @@ class LiveSignals:
     def _hear_state(self, message: can.Message) -> None:
         self.state = operator_frames.read_state(message) or self.state
         if self.state is not None:
-            self.lamps.injectable, self.lamps.paused = self.state.injectable, self.state.paused
-            self.lamps.refused, self.lamps.pace = self.state.refused, self.state.pace
+            self._told_s = time.monotonic()
+            self.lamps.injectable, self.lamps.pace = self.state.injectable, self.state.pace
+            self.lamps.refused = self.state.refused
 
     def _applied_in(self, tick: int) -> tuple[float, float]:
         return self._applied.pop(tick, (np.nan, np.nan))
 
     def _row(self, tick: int, *heard: float) -> tuple[float, ...]:
         evidence = self._evidence(tick, *heard[:4])
-        return (tick * self._scenario.tick_s, *heard, *self._applied_in(tick), *evidence)
+        return (
+            tick * self._scenario.tick_s,
+            *heard,
+            *self._applied_in(tick),
+            *evidence,
+            *self._motion.pop(tick, NO_MOTION),
+        )
 
     def _evidence(
         self, tick: int, reference: float, measured: float, *sent: float
@@ -273,22 +350,25 @@ class LiveSignals:
 
     def _note(self, rows: FloatArray, bits: int, now_s: float) -> None:
         """Update the lamps from these rows."""
-        lamps, elapsed_s = self.lamps, max(now_s - self._looked_s, 1e-3)
+        lamps, state, tick_s = self.lamps, self.state, self._scenario.tick_s
+        elapsed_s = max(now_s - self._looked_s, 1e-3)
         self._looked_s = now_s
         self._smooth("ticks_per_s", len(rows) / elapsed_s)
         lamps.bus_errors = dict(self.frames.errors)
+        silent_s = max(SILENT_S, SILENT_TICKS * tick_s / (lamps.pace or 1.0))
+        lamps.paused = state is not None and state.paused and now_s - self._told_s < silent_s
         lamps.silent = [
             node
             for node, heard_s in self._heard_s.items()
-            if now_s - heard_s > SILENT_S and not lamps.paused
+            if now_s - heard_s > silent_s and not lamps.paused
         ]
         if not len(rows):
             return
         lamps.time_s = float(rows[-1, 0])
-        virtual_s = len(rows) * self._scenario.tick_s
+        virtual_s = len(rows) * tick_s
         self._smooth("bus_load", bits / (self._scenario.bus.bitrate * virtual_s))
-        answered = np.isfinite(rows[:, [COMMAND_1, COMMAND_2]]).all(axis=1)
-        lamps.unanswered_ticks += int((np.isfinite(rows[:, OUTPUT]) & ~answered).sum())
+        ticks = np.round(rows[:, 0] / tick_s)
+        self._count(np.isfinite(rows), np.isin(ticks, list(self._early)))
         for name, column, words in (
             ("mode", MODE, self._status.modes),
             ("fault_state", FAULT_STATE, self._status.fault_states),
@@ -297,6 +377,22 @@ class LiveSignals:
             said = rows[np.isfinite(rows[:, column]), column]
             if len(said):
                 setattr(lamps, name, words.get(int(said[-1]), ""))
+
+    def _count(self, known: NDArray[np.bool_], early: NDArray[np.bool_]) -> None:
+        """Count the ticks without commands and the ticks that the panel has not heard.
+
+        A listener that lags loses whole ticks, and parts of the ticks beside. A tick that lacks a
+        command therefore counts only between ticks that were heard.
+        """
+        heard = known[:, OUTPUT] & known[:, [COMMAND_1, COMMAND_2, ESTIMATE, MODE]].any(axis=1)
+        answered = known[:, [COMMAND_1, COMMAND_2]].all(axis=1) | early
+        self.lamps.unheard_ticks += int((~heard).sum())
+        before = self._counted
+        both = np.concatenate([before, np.stack([heard, answered], axis=1)])
+        heard, answered = both.T
+        lacking = heard[:-2] & heard[1:-1] & heard[2:] & ~answered[1:-1]
+        self.lamps.unanswered_ticks += int(lacking.sum())
+        self._counted = both[-2:]
 
     def _smooth(self, name: str, value: float) -> None:
         """Over about ten updates."""

@@ -19,15 +19,13 @@ import numpy as np
 import tomli_w
 from aiohttp import WSCloseCode, web
 
-from can_rig.drawing.names import names_of
 from can_rig.errors import RigError
 from can_rig.files import atomic
 from can_rig.frames import operator_frames
-from can_rig.logs.columns import EVIDENCE
 from can_rig.nodes.operating import done, touches
 from can_rig.panel.live import COLUMNS
 from can_rig.panel.session import Session
-from can_rig.results.isolation import in_words
+from can_rig.panel.setup import setup
 from can_rig.results.run_folder import log_of
 from can_rig.results.signals import read_signals
 from can_rig.results.source import reference_csv, source_of
@@ -159,28 +157,17 @@ class Screen:
     def _hello(self, may_touch: bool | None) -> str:
         """The page's setup before the first row; None for unchanged viewer permissions."""
         session = self.session
-        names = names_of(session.scenario.plant)
-        return json.dumps(
-            {
-                "hello": {
-                    "name": session.name,
-                    "scenarios": self.scenarios,
-                    "tick_s": session.scenario.tick_s,
-                    "duration_s": session.scenario.duration_s,
-                    "columns": COLUMNS,
-                    "kinds": operator_frames.kinds(),
-                    "places": operator_frames.places(),
-                    "signals": [{"name": each.name, "unit": each.unit} for each in names],
-                    "hypotheses": [
-                        [column, in_words(verdict, names)]
-                        for verdict, column in enumerate(EVIDENCE, 1)
-                    ],
-                    "confirm": session.live.confirm,
-                    "events": self.events,
-                },
-                **({} if may_touch is None else {"may_touch": may_touch}),
-            }
-        )
+        hello = {
+            "name": session.name,
+            "scenarios": self.scenarios,
+            "tick_s": session.scenario.tick_s,
+            "duration_s": session.scenario.duration_s,
+            "columns": COLUMNS,
+            "events": self.events,
+            **setup(session.scenario, network_of(session.scenario), session.live.confirm),
+        }
+        permission = {} if may_touch is None else {"may_touch": may_touch}
+        return json.dumps({"hello": hello, **permission})
 
     async def close(self) -> None:
         """End a run that the panel started, and leave the bus."""
@@ -191,6 +178,9 @@ class Screen:
 
     def update(self) -> None:
         """Offer every browser the new rows, and the lamps at a lower rate."""
+        if self.session.begins_again:
+            self.session.renew()
+            self.show(self.session)
         live = self.session.live
         rows = live.update()
         for time_s, command in live.taken_commands():
@@ -206,12 +196,8 @@ class Screen:
                 self.offer(batch(rows))
         self._updates += 1
         if self._updates % LAMPS_EVERY == 0 and self.viewers:
-            run = {
-                "running": self.session.running,
-                "folder": self.session.folder,
-                "said": self.session.said,
-            }
-            self.offer(json.dumps({"lamps": live.lamps.as_dict(), "run": run}))
+            state = self.session.state()._asdict()
+            self.offer(json.dumps({"lamps": live.lamps.as_dict(), "state": state}))
 
     async def obey(self, order: dict[str, Any]) -> None:
         """Execute a request of the page.

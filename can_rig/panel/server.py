@@ -77,8 +77,14 @@ UPDATES_PER_S: Final = 30
 MOST_BYTES: Final = 4096
 """Of an order."""
 
-PAGE: Final = {"": "index.html", "panel.js": "panel.js", "panel.css": "panel.css"}
-UPLOT: Final = {"uplot.js": "uPlot.iife.min.js", "uplot.css": "uPlot.min.css"}
+PAGE: Final = {"": "index.html", "panel.js": "panel.js"}
+BENCH: Final = {
+    "uplot.js": "uPlot.iife.min.js",
+    "uplot.css": "uPlot.min.css",
+    "charts.js": "charts.js",
+    "scene.js": "scene.js",
+    "bench.css": "bench.css",
+}
 
 HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; connect-src 'self'; "
@@ -107,8 +113,8 @@ class Server:
         app = web.Application(middlewares=[self._guard], client_max_size=MOST_BYTES)
         for name, file in PAGE.items():
             app.router.add_get(f"/{{token}}/{name}", _static("can_rig.panel", f"page/{file}"))
-        for name, file in UPLOT.items():
-            app.router.add_get(f"/{{token}}/{name}", _static("can_rig.drawing", f"uplot/{file}"))
+        for name, file in BENCH.items():
+            app.router.add_get(f"/{{token}}/{name}", _static("can_rig.drawing", f"bench/{file}"))
         app.router.add_get("/{token}/socket", self._socket)
         app.cleanup_ctx.append(self._updating)
         app.on_shutdown.append(self._screen.say_goodbye)
@@ -230,7 +236,8 @@ def serve(shown: Shown, say: Callable[..., None]) -> None:
     def opened(name: str) -> Session:
         return Session(bus, load(name, shown.settings), name, shown.settings)
 
-    session = Session(bus, shown.scenario, shown.name, shown.settings, shown.sends)
+    starts = shown.bus is None
+    session = Session(bus, shown.scenario, shown.name, shown.settings, shown.sends, starts)
     names = shown.scenarios
     if names and shown.name not in names:
         names = [shown.name, *names]

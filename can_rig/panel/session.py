@@ -9,14 +9,14 @@ import signal
 import sys
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import can
 
 from can_rig.buses.bus import open_bus
-from can_rig.errors import RigError
+from can_rig.errors import INTERRUPTED, RigError
 from can_rig.frames import operator_frames
-from can_rig.panel.live import LiveSignals
+from can_rig.panel.live import ENDS, Frames, LiveSignals
 from can_rig.plant.faults.injection import require_possible
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
@@ -24,8 +24,27 @@ from can_rig.scenario.settings import Scenario
 ENDS_WITHIN_S: Final = 60.0
 """A run that is stopped completes its folder."""
 
+ENDED_WELL: Final = (0, INTERRUPTED)
+"""Exit statuses of a run that ended by itself or was stopped."""
+
 MOST_LINES: Final = 12
 """Of what a run has said that are kept."""
+
+
+TOUCHING: Final = ("inject", "clear", "reference", "pace")
+"""Orders to a plant node that obeys commands."""
+
+
+class State(NamedTuple):
+    """The state of the run, for a person."""
+
+    name: str
+    """``ready``, ``waiting``, ``starting``, ``running``, ``paused``, ``silent``, ``finishing``,
+    ``ended``, ``failed`` or ``bus-down``."""
+    says: str
+    """A sentence: the state, its reason, the next step."""
+    orders: tuple[str, ...] = ()
+    """The orders that have an effect in this state."""
 
 
 @dataclass
@@ -38,6 +57,7 @@ class Session:
         settings: the ``KEY=VALUE`` changes behind ``scenario``.
         name: name of the scenario for the user: a shipped scenario or a file.
         sends: whether the panel may send commands.
+        starts: whether the panel starts the nodes; False: the bus belongs to running nodes.
     """
 
     bus: str
@@ -45,10 +65,13 @@ class Session:
     name: str
     settings: tuple[str, ...] = ()
     sends: bool = True
+    starts: bool = True
     said: list[str] = field(default_factory=list)
     """Last lines of the run that ended, or of why there is none."""
     folder: str | None = None
     """Of the run that ended last."""
+    _noted: bool = False
+    """Whether the end of the panel's own run is noted."""
     _process: asyncio.subprocess.Process | None = None
 
     def __post_init__(self) -> None:
@@ -56,9 +79,9 @@ class Session:
         self.live = self._new()
         self._notifier = can.Notifier(self._opened, [self.live.frames], timeout=0.2)
 
-    def _new(self) -> LiveSignals:
+    def _new(self, frames: Frames | None = None) -> LiveSignals:
         """Signals of a run before its first tick."""
-        return LiveSignals(self.scenario, network_of(self.scenario))
+        return LiveSignals(self.scenario, network_of(self.scenario), frames)
 
     def close(self) -> None:
         """Leave the bus."""
@@ -70,14 +93,95 @@ class Session:
         """Whether a run that the panel started still runs."""
         return self._process is not None and self._process.returncode is None
 
+    def state(self) -> State:
+        """The state of the run now."""
+        failed = self.live.frames.failed
+        if failed is not None:
+            return State("bus-down", f"The bus {self.bus} is down: {failed}.", self._stop)
+        if self._noted:
+            return self._state_after()
+        if self.live.last_heard is None:
+            return self._state_before()
+        return self._state_silent() if self.live.lamps.silent else self._state_heard()
+
+    @property
+    def _stop(self) -> tuple[str, ...]:
+        return ("stop",) if self.running else ()
+
+    def _state_silent(self) -> State:
+        """The state while a node is silent.
+
+        In lockstep both are; the node with the last frame waits for the other.
+        """
+        silent, here = self.live.lamps.silent, f"{self.live.lamps.time_s:.2f} s"
+        if len(silent) == 1 or self.live.last_heard == "plant":
+            node = silent[0] if len(silent) == 1 else "controller"
+            says = (
+                f"The {node} node is silent since {here} of the run: "
+                "the node was killed, hangs, or has left the bus."
+            )
+            return State("silent", says, self._stop)
+        if self.running:
+            return State("finishing", f"The run stands at {here}; its folder is being written.")
+        return State("ended", f"Both nodes are silent since {here}: the run has ended.")
+
+    def _state_heard(self) -> State:
+        """The state while all nodes are heard, or the plant node says that the run is paused."""
+        lamps = self.live.lamps
+        touching = TOUCHING if self.sends and lamps.injectable else ()
+        orders = (*self._stop, *touching)
+        if lamps.paused:
+            says = f"Paused at {lamps.time_s:.2f} s: Go on continues the run, Step runs one tick."
+            return State("paused", says, (*orders, "step") if touching else orders)
+        if not self.sends:
+            says = "The nodes run. This panel listens only; --allow-control lets the panel send."
+        elif not touching:
+            says = "The nodes run and obey no commands; --injectable at their start lets them obey."
+        elif lamps.pace:
+            says = f"Running, held to {lamps.pace:g} × real time."
+        else:
+            says = "Running as fast as the nodes can."
+        return State("running", says, (*orders, "pause") if touching else orders)
+
+    def _state_before(self) -> State:
+        """The state before the first frame."""
+        if self.running:
+            return State("starting", "The nodes start, and compile the control law.", ("stop",))
+        if self.starts:
+            says = f"Press Start to run the scenario {self.name}."
+            return State("ready", says, ("start", "choose"))
+        return State("waiting", f"No node is heard on the bus {self.bus} yet.")
+
+    def _state_after(self) -> State:
+        """The state after the end of the panel's own run."""
+        orders = ("start", "choose") if self.folder is None else ("start", "choose", "save")
+        status = self._process.returncode if self._process is not None else None
+        if status in ENDED_WELL:
+            how = "was stopped" if status else "has ended"
+            left = "no folder is left" if self.folder is None else f"run folder {self.folder}"
+            at = f"{self.live.lamps.time_s:.2f} s"
+            return State("ended", f"The run {how} at {at}; {left}.", orders)
+        why = self.said[-1] if self.said else f"exit status {status}"
+        return State("failed", f"The run has failed: {why}", orders)
+
+    @property
+    def begins_again(self) -> bool:
+        """Whether nodes that the panel did not start send again after their end."""
+        ended = len(self.live.lamps.silent) == len(ENDS)
+        return not self.starts and ended and self.live.frames.has_some
+
+    def renew(self) -> None:
+        """Show another run from its first frames; the ticks of another run begin at 0 again."""
+        frames = self.live.frames
+        frames.begin_again(keep_waiting=not self.starts)
+        self.live = self._new(frames)
+
     async def start(self) -> None:
         """Start a run of the scenario on this bus, paced at real time."""
         if self.running:
             return
-        self.said, self.folder = [], None
-        self._notifier.remove_listener(self.live.frames)
-        self.live = self._new()  # the ticks of another run begin at 0 again
-        self._notifier.add_listener(self.live.frames)
+        self.said, self.folder, self._noted = [], None, False
+        self.renew()
         arguments = [argument for setting in self.settings for argument in ("--set", setting)]
         self._process = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "can_rig", "run", self.name, *arguments,
@@ -97,6 +201,7 @@ class Session:
             result: dict[str, Any] = json.loads(out.decode().splitlines()[-1])
             self.folder = result.get("folder")
         self.said = err.decode(errors="replace").splitlines()[-MOST_LINES:]
+        self._noted = True
 
     async def stop(self) -> None:
         """End the run and complete the run folder."""

@@ -51,6 +51,8 @@ class SimulatedPlant:
         self._reached = (0.0, 0.0)
         self.applied = (0.0, 0.0)
         """The applied commands of both actuators in the last tick."""
+        self.reported: Mapping[str, float] = {}
+        """The signals of the last tick beyond the frames."""
         self._said = 0.0
         self._noise = SensorNoise(scenario)
         self._senses = None
@@ -109,9 +111,9 @@ class SimulatedPlant:
             reached_2 = float(limited(reached_2, self._reached[1], *self._limits[1]))
         self._reached = reached_1, reached_2
         self.applied = reached_1 * now.left[0], reached_2 * now.left[1]
-        signals = self._plant.report(reached_1, reached_2, *now.left)
+        self.reported = self._plant.report(reached_1, reached_2, *now.left)
         _, self._read = self._plant.follow(reached_1, reached_2, *now.left)
-        return signals
+        return self.reported
 
     def _faulty(self, channel: int, fault: FloatArray) -> float:
         late = self._on_the_way[-1 - self._latency_ticks - int(fault[LATE])][channel]

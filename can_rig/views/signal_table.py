@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from can_rig import paged
 from can_rig.assessment.resolve import load_run
-from can_rig.drawing.names import CAR, Names, column_names, names_of
+from can_rig.drawing.names import CAR, Names, column_names, names_of, unit_of
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.columns import APPLIED, EVIDENCE_OF, ON_THE_BUS, TRUE_OUTPUT, VERDICT
 from can_rig.logs.compression import open_text, stored
@@ -29,11 +29,6 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import FloatArray
 
 TIME: Final = "time_s"
-
-_UNITS: Final = {  # by the last word of a column, or by the words around "per"
-    "hz": "Hz", "hour": "h", "kg": "kg", "kgm2": "kg m²", "m": "m", "mps": "m/s", "mps2": "m/s²",
-    "n": "N", "nm": "N m", "nms": "N m s", "percent": "%", "rad": "rad", "s": "s",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -80,7 +75,7 @@ class SignalTable:
 
     def name_and_unit(self, column: str) -> tuple[str, str]:
         """Printed name and unit of a column; "" without a unit."""
-        other = column.replace("_", " "), unit(column)
+        other = column.replace("_", " "), unit_of(column)
         if self.scenario is None:
             return COLUMNS_OF_CAR.get(column, other)
         printed = _columns(names_of(self.scenario.plant))
@@ -88,17 +83,6 @@ class SignalTable:
         return ({names[each]: words for each, words in printed.items()} | printed).get(
             column, other
         )
-
-
-def unit(column: str) -> str:
-    """The unit of a column by the suffix of its name; "" without a unit."""
-    *before, last = column.split("_")
-    if not before or last not in _UNITS:
-        return ""
-    if before[-1] != "per":
-        return _UNITS[last]
-    over = _UNITS.get("".join(before[-2:-1]), "1" if last == "hour" else "")
-    return f"{over}/{_UNITS[last]}" if over else ""
 
 
 def _columns(names: Names) -> dict[str, tuple[str, str]]:

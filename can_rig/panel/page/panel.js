@@ -2,97 +2,54 @@
 "use strict";
 
 const WINDOW_S = 20, KEPT_S = 180;
-const COLOURS = { ink: "#6b675f", blue: "#2a78b8", orange: "#cf5a22", green: "#3a9560", pale: "#e3b49c", violet: "#7a5bb0", gold: "#b58a1b", pink: "#c2508c", grey: "#9a958c" };
-const HYPOTHESES = ["orange", "gold", "violet", "blue", "green", "pink", "grey"];
 const $ = (id) => document.getElementById(id);
+const charts = new Charts($("charts"), $("bar"), { windowS: WINDOW_S }), scene = new Scene($("scene"));
 
-let hello = null, mayTouch = false, lamps = {}, rows = [], charts = [], stale = false;
+let hello = null, mayTouch = false, lamps = {}, state = { name: "connecting", says: "", orders: [] }, rows = [], stale = false;
 
 // Curves ---------------------------------------------------------------------------------------
 
-const PANELS = [
-  { of: 0, title: (s) => s.name, curves: [["reference", "ink", [5, 4]], ["output", "blue"]] },
-  { of: 0, title: () => "error", curves: [["error", "blue"]] },
-  { of: 1, title: (s) => s.name, curves: [["command_1", "pale", null, "commanded"], ["applied_1", "orange", null, "applied"]] },
-  { of: 2, title: (s) => s.name, curves: [["command_2", "pale", null, "commanded"], ["applied_2", "orange", null, "applied"]] },
-  { of: 0, title: () => "fault estimate", curves: [["estimate", "green"]] },
-  { title: () => "evidence of each fault (log-likelihood ratio)", curves: null, height: 170,
-    y: { distr: 4, asinh: 10 }, splits: [-1e3, -100, -10, 0, 10, 100, 1e3, 1e4, 1e6, 1e8, 1e10, 1e12] },
-];
-
-function evidenceCurves() {
-  const each = hello.hypotheses.map(([name, words], i) => [name, HYPOTHESES[i], null, words]);
-  return [...each, ["confirm", "ink", [5, 4], "confirms a loss"]];
+function drawn() { // the columns by key, and two that the page computes
+  const data = Object.fromEntries(hello.columns.map((name, i) => [name, rows[i]]));
+  data.error = data.reference.map((r, i) => (r === null || data.output[i] === null ? null : r - data.output[i]));
+  data.confirm = data.time.map(() => hello.confirm);
+  return data;
 }
 
-function column(name) {
-  if (name === "error") {
-    const r = column("reference"), y = column("output");
-    return r.map((v, i) => (v === null || y[i] === null ? null : v - y[i]));
-  }
-  if (name === "confirm") return rows[0].map(() => hello.confirm);
-  return rows[hello.columns.indexOf(name)];
-}
-
-function stateShade(u) { // where the decision suspects or has confirmed a loss
-  const time = rows[0], state = rows[hello.columns.indexOf("fault_state")];
-  if (!time || !time.length) return;
-  const { ctx } = u, { left, top, width, height } = u.bbox;
-  ctx.save();
-  ctx.beginPath(); ctx.rect(left, top, width, height); ctx.clip();
-  for (const [code, colour] of [[1, "#e9b44c33"], [2, "#b8461a2e"]]) {
-    ctx.fillStyle = colour;
-    for (let i = 0; i < time.length; i++) {
-      if (state[i] !== code) continue;
-      let j = i;
-      while (j + 1 < time.length && state[j + 1] === code) j++;
-      const a = u.valToPos(time[i], "x", true), b = u.valToPos(time[Math.min(j + 1, time.length - 1)], "x", true);
-      ctx.fillRect(a, top, Math.max(b - a, 1), height);
-      i = j;
-    }
-  }
-  ctx.restore();
-}
-
-function shownSplits(splits) { // of a scale that is none of uPlot's own
-  if (!splits) return {};
-  return { splits: (u, axis, least, most) => splits.filter((v) => v >= least && v <= most), values: (u, ticks) => ticks.map((v) => (Math.abs(v) < 1e4 ? v : v.toExponential(0))), filter: (u, ticks) => ticks };
-}
-
-function size(panel) { return { width: $("charts").clientWidth, height: panel.height || Math.max(90, (window.innerHeight - 330) / (PANELS.length - 1) - 40) }; }
-
-function makeCharts() {
-  for (const { plot } of charts) plot.destroy();
-  const ink = getComputedStyle(document.body).color, grid = { stroke: "#88888833", width: 1 };
-  charts = PANELS.map((panel) => {
-    const signal = hello.signals[panel.of], unit = signal && signal.unit ? ` in ${signal.unit}` : "";
-    const last = panel === PANELS[PANELS.length - 1];
-    if (last) panel.curves = evidenceCurves();
-    const plot = new uPlot({
-      ...size(panel), title: panel.title(signal) + unit, cursor: { sync: { key: "time" }, drag: { x: true, y: false } },
-      legend: { show: panel.curves.length > 1, live: !panel.y }, scales: { x: { time: false }, y: panel.y || {} }, hooks: { drawClear: [stateShade] },
-      axes: [{ stroke: ink, grid, label: last ? "time in s" : undefined, labelSize: 18, size: last ? 30 : 8, values: last ? undefined : (u, ticks) => ticks.map(() => "") }, { stroke: ink, grid, size: 64, space: 22, ...shownSplits(panel.splits) }],
-      series: [{ label: "t" }, ...panel.curves.map(([name, colour, dash, label]) => ({
-        label: label || (name === "output" ? signal.name : name), stroke: COLOURS[colour],
-        width: name.startsWith("command") ? 2.5 : 1.4, dash: dash || undefined, spanGaps: false, points: { show: false } }))],
-    }, [[], ...panel.curves.map(() => [])], $("charts"));
-    return { panel, plot };
-  });
-}
-
-let zoomed = false;
 function draw() {
   requestAnimationFrame(draw);
   if (!stale || !hello || !rows.length || document.hidden) return;
   stale = false;
-  const time = rows[0], end = time.length ? time[time.length - 1] : 0;
-  for (const { panel, plot } of charts) {
-    plot.batch(() => {
-      plot.setData([time, ...panel.curves.map(([name]) => column(name))], false);
-      if (!zoomed) plot.setScale("x", { min: Math.max(0, end - WINDOW_S), max: Math.max(end, WINDOW_S) });
-      else plot.redraw();
-    });
+  const data = drawn(), shade = { 1: "suspect", 2: "confirmed" };
+  charts.shades = spans(data.time, data.fault_state).filter(({ code }) => shade[code]).map((span) => ({ ...span, colour: shade[span.code] }));
+  charts.setData(data);
+  if (hello.scene) showScene(data);
+}
+
+// The rows of the scene: of a car, those with a position; its lane is its path until the first
+// fault, and from then on where the reference leads.
+let moved = null;
+function showScene(data) {
+  const car = hello.scene.kind === "car", names = ["time", "output", "reference", "applied_1", "applied_2", "x", "y", "heading", "steering", "lane_x", "lane_y", "lane_heading"];
+  if (!moved) moved = { ...Object.fromEntries(names.map((name) => [name, []])), row: -Infinity };
+  let i = data.time.length;
+  while (i > 0 && data.time[i - 1] > moved.row) i--;
+  for (; i < data.time.length; i++) {
+    if (data.applied_1[i] === null || data.output[i] === null || (car && data.x[i] === null)) continue;
+    const n = moved.time.length - 1, t = data.time[i];
+    for (const name of names.slice(0, 9)) moved[name].push(data[name][i]);
+    if (car) {
+      const passed = n < 0 ? 0 : t - moved.time[n], begun = scene.dead.some((d) => d.begin <= t) && n >= 0;
+      const speed = lamps.speed_mps === null || lamps.speed_mps === undefined ? hello.scene.speed : lamps.speed_mps;
+      const heading = begun ? moved.lane_heading[n] + (passed * data.reference[i]) / Math.max(speed, 1) : Math.atan2(moved.y[n + 1] - (n < 5 ? 0 : moved.y[n - 5]), moved.x[n + 1] - (n < 5 ? -1 : moved.x[n - 5]));
+      moved.lane_heading.push(heading);
+      moved.lane_x.push(begun ? moved.lane_x[n] + passed * speed * Math.cos(heading) : data.x[i]);
+      moved.lane_y.push(begun ? moved.lane_y[n] + passed * speed * Math.sin(heading) : data.y[i]);
+    }
+    moved.row = t;
   }
+  if (moved.time.length > 12000) for (const name of names) moved[name] = moved[name].slice(4000);
+  if (moved.time.length) scene.show(moved, moved.time.length - 1);
 }
 
 function append(buffer) {
@@ -111,41 +68,54 @@ function append(buffer) {
   stale = true;
 }
 
-// Lamps ----------------------------------------------------------------------------------------
+// State and lamps ------------------------------------------------------------------------------
+
+const EMPTY = Object.fromEntries([...document.querySelectorAll(".lamp")].map((el) => [el.id, el.textContent]));
+const GOOD = ["running", "finishing"], WARN = ["silent", "failed", "bus-down", "gone"];
 
 function lamp(id, text, state) { const el = $(id); el.textContent = text; el.className = `lamp ${state || ""}`; }
 
-function showLamps(run) {
-  const l = lamps, on = run.running || l.ticks_per_s > 1;
-  lamp("running", run.running ? (l.paused ? "paused" : "running") : on ? "nodes run" : "no run", on ? "good" : "off");
-  lamp("mode", `mode ${l.mode || "–"}`, l.mode === "RUN" ? "good" : l.mode ? "warn" : "off");
-  const state = (l.fault_state || "").replace("_", " ").toLowerCase();
-  lamp("fault_state", state === "confirmed" ? "loss confirmed" : state === "suspected" ? "loss suspected" : state === "clear" ? "no fault" : state || "channel 1",
-    { confirmed: "warn", suspected: "warn", clear: "good" }[state] || "off");
+function showState() {
+  const now = $("state");
+  if (now.textContent !== state.says) now.textContent = state.says;
+  now.className = GOOD.includes(state.name) ? "good" : WARN.includes(state.name) ? "warn" : "";
+  document.body.dataset.state = state.name;
+  for (const el of document.querySelectorAll("[data-order]")) el.disabled = !mayTouch || !state.orders.includes(el.dataset.order);
+  $("value").disabled ||= $("value-name").textContent === "no value";
+  $("pause").textContent = state.name === "paused" ? "Go on" : "Pause";
+  if (state.name === "paused") $("pause").disabled = !mayTouch || !state.orders.includes("pace");
+  $("why").textContent = hello && !mayTouch ? "This address may look only." : "";
+}
+
+function showLamps() {
+  const l = lamps, heard = !["ready", "waiting", "starting", "gone"].includes(state.name), live = ["running", "paused"].includes(state.name);
+  if (!heard) { document.querySelectorAll(".lamp").forEach((el) => { el.className = "lamp off"; if (state.name !== "gone") el.textContent = EMPTY[el.id]; }); return; }
+  const colour = (kind) => (live ? kind : "off"); // a state that is over is no news
+  lamp("mode", `mode ${l.mode || "–"}`, l.mode ? colour(l.mode === "RUN" ? "good" : "warn") : "off");
+  const fault = { CLEAR: ["no fault", "good"], SUSPECTED: ["loss suspected", "warn"], CONFIRMED: ["loss confirmed", "warn"] }[l.fault_state];
+  lamp("fault_state", fault ? fault[0] : l.fault_state ? l.fault_state.toLowerCase() : "fault –", colour(fault ? fault[1] : "off"));
   const none = !l.verdict || l.verdict.startsWith("no fault");
-  lamp("verdict", none ? l.verdict || "whose fault" : `verdict: ${l.verdict}`, !l.verdict ? "off" : none ? "good" : "warn");
-  lamp("silent", l.silent.length && on ? `${l.silent.join(", ")} silent` : on ? "both nodes heard" : "no nodes", l.silent.length && on ? "warn" : on ? "good" : "off");
+  lamp("verdict", `verdict: ${l.verdict || "–"}`, colour(!l.verdict ? "off" : none ? "good" : "warn"));
+  lamp("nodes", l.silent.length ? `${l.silent.join(" and ")} silent` : "both nodes heard", state.name === "silent" ? "warn" : l.silent.length ? "off" : "good");
   lamp("unanswered", `${l.unanswered_ticks} ticks without commands`, l.unanswered_ticks ? "warn" : "");
-  lamp("load", l.bus_load === null ? "bus load –" : `bus load ${(100 * l.bus_load).toFixed(0)} %`, l.bus_load > 0.9 ? "warn" : "");
+  $("unheard").hidden = !l.unheard_ticks; lamp("unheard", `${l.unheard_ticks} ticks not heard`, "");
+  lamp("load", l.bus_load === null ? "bus load –" : `bus load ${(100 * l.bus_load).toFixed(1)} %`, l.bus_load > 0.9 ? colour("warn") : "");
   $("speed").hidden = l.speed_mps === null;
-  if (l.speed_mps !== null) lamp("speed", `${l.speed_mps.toFixed(1)} m/s`, "");
+  if (l.speed_mps !== null) lamp("speed", `speed ${l.speed_mps.toFixed(1)} m/s`, "");
   const sensors = Object.entries(l.sensors).map(([name, value]) => `${name} ${value === null ? "not valid" : value.toPrecision(3)}`);
   $("sensors").hidden = !sensors.length; lamp("sensors", sensors.join(", "), "");
-  lamp("rate", `${l.time_s.toFixed(1)} s, ${(l.ticks_per_s * hello.tick_s).toFixed(2)} × real time`, "");
-  $("pace").textContent = !l.injectable ? "the plant node obeys no commands" : l.paused ? "paused" : l.pace ? `held to ${l.pace} × real time` : "as fast as it can";
-  $("pause").textContent = l.paused ? "Go on" : "Pause";
-  $("folder").textContent = run.folder ? `run folder ${run.folder}` : "";
-  if (run.said.length && !run.running) $("message").textContent = run.said[run.said.length - 1];
-  $("start").disabled = run.running; $("stop").disabled = !run.running; $("scenario").disabled = run.running;
-  for (const id of ["faults", "reference"]) $(id).disabled = !mayTouch || !l.injectable;
-  for (const id of ["pause", "slower", "faster"]) $(id).disabled = !l.injectable;
-  $("step").disabled = !l.injectable || !l.paused;
+  lamp("rate", `${l.time_s.toFixed(1)} s${live && state.name === "running" ? `, ${(l.ticks_per_s * hello.tick_s).toFixed(2)} × real time` : ""}`, "");
 }
 
 function addEvent(event) {
-  const item = document.createElement("li"), parts = [event.kind, event.place === "all" ? "" : event.place, event.value, event.duration_s && `for ${event.duration_s} s`];
-  item.textContent = `${event.time_s.toFixed(2)} s  ${event.action.toLowerCase().replace("_", " ")} ${parts.filter((p) => p !== null && p !== undefined && p !== "").join(" ")}`;
-  $("events").append(item); item.scrollIntoView({ block: "nearest" });
+  const of = hello.places.find((each) => each.place === event.place), kind = of && of.kinds.find((each) => each.kind === event.kind);
+  const parts = [of && of.words, kind ? kind.words : event.kind, event.value, event.duration_s && `for ${event.duration_s} s`];
+  const words = parts.filter((p) => p !== null && p !== undefined && p !== "").join(" ");
+  const item = element("li", { textContent: `${event.time_s.toFixed(2)} s  ${event.action.toLowerCase().replace("_", " ")} ${words}` });
+  $("events").append(item); $("events").scrollTop = 1e6;
+  if (event.action === "INJECT") scene.dead.push({ place: event.place, begin: event.time_s, end: event.duration_s ? event.time_s + event.duration_s : null, words });
+  if (event.action === "CLEAR") scene.dead.forEach((d) => { if (["all", d.place].includes(event.place) && (d.end === null || d.end > event.time_s)) d.end = event.time_s; });
+  if (["INJECT", "CLEAR"].includes(event.action)) charts.marks.push(event);
 }
 
 // Orders ---------------------------------------------------------------------------------------
@@ -158,11 +128,18 @@ function order(name, more) {
 const number = (id) => ($(id).value === "" ? null : Number($(id).value));
 const inject = (kind, place, value) => order("inject", { kind, place, value: value ?? null, for_s: number("for") });
 
-function fill(select, words) { select.replaceChildren(...words.map((word) => new Option(word, word))); }
+function fill(select, options) { select.replaceChildren(...options.map(([value, words]) => new Option(words, value))); }
 
-function kindsFor(place) {
-  const own = place === "sensor" ? "sensor-" : "actuator-";
-  return hello.kinds.filter((kind) => kind.startsWith(own) || kind.startsWith("frames-"));
+const place = () => hello.places.find((each) => each.place === $("place").value);
+function showKinds() { fill($("kind"), place().kinds.map((each) => [each.kind, each.words])); showValue(); }
+function showValue() {
+  const words = place().kinds.find((each) => each.kind === $("kind").value).value;
+  $("value-name").textContent = words || "no value"; $("value").value = ""; showState();
+}
+function showMoved() {
+  const value = Number($("move").value);
+  $("moved").textContent = `${value >= 0 ? "+" : "−"}${Math.abs(value)} ${hello.output.unit}`;
+  $("move").setAttribute("aria-valuetext", $("moved").textContent);
 }
 
 function wire() {
@@ -173,35 +150,39 @@ function wire() {
   $("step").onclick = () => order("step", { ticks: 1 });
   $("slower").onclick = () => order("pace", { value: Math.max(0.01, (lamps.pace || 1) / 2) });
   $("faster").onclick = () => order("pace", { value: Math.min(64, (lamps.pace || 1) * 2) });
-  $("move").oninput = () => { $("moved").textContent = (Number($("move").value) >= 0 ? "+" : "") + Number($("move").value).toFixed(2); };
+  $("move").oninput = showMoved;
   $("move").onchange = () => order("reference", { value: Number($("move").value) });
-  $("motor-dead").onclick = () => inject("actuator-dead", "torque", 0);
-  $("half").onclick = () => inject("actuator-dead", "torque", 0.5);
-  $("force-dead").onclick = () => inject("actuator-dead", "force-difference", 0);
-  $("biased").onclick = () => inject("sensor-biased", "sensor");
-  $("place").onchange = () => fill($("kind"), kindsFor($("place").value));
+  $("place").onchange = showKinds;
+  $("kind").onchange = showValue;
   $("inject").onclick = () => inject($("kind").value, $("place").value, number("value"));
   $("clear").onclick = () => order("clear", { place: "all" });
   $("save").onclick = () => order("save", { name: $("save-name").value || "my-scenario" });
-  window.onresize = () => charts.forEach(({ panel, plot }) => plot.setSize(size(panel)));
-  $("charts").ondblclick = () => { zoomed = false; stale = true; };
-  $("charts").addEventListener("mouseup", () => setTimeout(() => { // a drag zooms until a double click
-    zoomed = charts.some(({ plot }) => plot.select.width > 0) || zoomed; }), 0);
+}
+
+function begin(said) {
+  hello = said; rows = []; stale = true; lamps = { ...lamps, silent: [] };
+  charts.marks = [];
+  document.title = `can-rig ${hello.name}`;
+  $("name").textContent = hello.name;
+  fill($("scenario"), hello.scenarios.map((name) => [name, name])); $("scenario").value = hello.name;
+  fill($("place"), hello.places.map((each) => [each.place, each.words])); showKinds();
+  $("quick").replaceChildren(...hello.quick.map(({ words, kind, place, value }) => {
+    const button = element("button", { className: "fault", textContent: words[0].toUpperCase() + words.slice(1) });
+    button.dataset.order = "inject"; button.onclick = () => inject(kind, place, value);
+    return button;
+  }));
+  Object.assign($("move"), { min: -hello.moved_by, max: hello.moved_by, step: hello.moved_by / 40, value: 0 }); showMoved();
+  scene.describe(hello.scene, hello.dead); moved = null;
+  $("events").replaceChildren(); hello.events.forEach(addEvent);
+  for (const id of ["scenario", "start", "stop"]) $(id).hidden = !hello.scenarios.length;
+  charts.describe(hello.curves, hello.charts);
+  charts.setData({ time: [] });
 }
 
 function take(said) {
   if (said.may_touch !== undefined) mayTouch = said.may_touch;
-  if (said.hello) {
-    hello = said.hello; rows = []; stale = true;
-    $("name").textContent = hello.name;
-    fill($("scenario"), hello.scenarios); $("scenario").value = hello.name;
-    fill($("place"), hello.places); fill($("kind"), kindsFor($("place").value));
-    $("events").replaceChildren(); hello.events.forEach(addEvent);
-    $("run").disabled = $("keep").disabled = !mayTouch;
-    for (const id of ["scenario", "start", "stop"]) $(id).hidden = !hello.scenarios.length;
-    makeCharts();
-  }
-  if (said.lamps) { lamps = said.lamps; showLamps(said.run); }
+  if (said.hello) begin(said.hello);
+  if (said.lamps) { lamps = said.lamps; state = said.state; showState(); showLamps(); }
   if (said.event) addEvent(said.event);
   if (said.refused) $("message").textContent = said.refused;
   if (said.saved) $("message").textContent = `saved as ${said.saved}`;
@@ -210,14 +191,18 @@ function take(said) {
 function connect() {
   socket = new WebSocket(`ws://${location.host}${location.pathname}socket`);
   socket.binaryType = "arraybuffer";
-  socket.onopen = () => lamp("connection", "connected", "good");
   socket.onmessage = ({ data }) => (typeof data === "string" ? take(JSON.parse(data)) : hello && append(data));
   socket.onclose = () => {
-    document.querySelectorAll(".lamp").forEach((el) => { el.className = "lamp off"; }); // what they say is over
-    lamp("connection", "panel gone", "warn"); setTimeout(connect, 1000);
+    if (state.name !== "gone") {
+      const since = new Date().toLocaleTimeString();
+      state = { name: "gone", says: `The panel's program is gone since ${since}: nothing here is news. A new can-rig panel has a new address.`, orders: [] };
+      showState(); showLamps();
+    }
+    setTimeout(connect, 1000);
   };
 }
 
 wire();
+showState();
 connect();
 requestAnimationFrame(draw);

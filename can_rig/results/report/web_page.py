@@ -5,27 +5,26 @@ The page opens without network: uPlot, the numbers and the look are part of the 
 
 from __future__ import annotations
 
-import base64
 import html
-import json
-import zlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import cache
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from can_rig import paged
-from can_rig.drawing import style, uplot
+from can_rig.drawing.bench import Chart, Curve, Recording, recorded
+from can_rig.drawing.bench import style as bench_style
 from can_rig.drawing.html import Code, page, table
-from can_rig.drawing.names import Names, disturbance_label, fault_label, names_of, printed
+from can_rig.drawing.names import CAR, Names, disturbance_label, fault_label, names_of, unit_of
+from can_rig.drawing.style import FAR
 from can_rig.frames.network import Network
 from can_rig.logs.columns import SPEED, TRUE_OUTPUT, VERDICT
 from can_rig.results.counterfactual import applied_commands
+from can_rig.results.curves import charts_of, curves_of, in_small_letters
 from can_rig.results.isolation import in_words
 from can_rig.results.metrics import Metrics
+from can_rig.results.motion import scene
 from can_rig.results.report.page import apart, compared_with, counterpart, page_title
 from can_rig.results.signals import Signals
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
@@ -34,152 +33,95 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import Verdict
 from firmware_model.law.structs import FloatArray
 
-MOST_POINTS: Final = 100_000
-"""Points of a curve; longer runs show the least and the greatest value of equal parts."""
 
+class Panel(NamedTuple):
+    """A chart, and its curves with their values (ticks,)."""
 
-@dataclass(frozen=True)
-class Curve:
-    """One line of a panel; ``values`` come from ``extremes``."""
-
-    label: str
-    values: FloatArray
-    color: str
-    width: float = 1.2
-    dash: tuple[int, ...] = ()
-    stepped: bool = False
-
-
-@dataclass(frozen=True)
-class Panel:
-    """Curves over one axis."""
-
-    name: str
-    unit: str
-    curves: list[Curve]
-    logarithmic: bool = False
+    chart: Chart
+    curves: list[tuple[Curve, FloatArray]]
 
 
 def panels(scenario: Scenario, network: Network, signals: Signals) -> list[Panel]:
     """The panels of ``report.png``, and the state of the controller."""
-
-    def curve(label: str, values: FloatArray, *how: Any, **more: Any) -> Curve:
-        return Curve(label, extremes(values, ticks_of_a_part(len(signals))), *how, **more)
-
-    names = names_of(scenario.plant)
+    names, charts = names_of(scenario.plant), charts_of(names_of(scenario.plant), None)
+    looks = {curve.key: curve for curve in curves_of(names, network, None)}
     beside, label, distance = compared_with(scenario, signals)
-    output = [
-        curve(names.output.name, signals.dstar_mps2, style.BLUE, 2.0),
-        curve(label, beside, style.INK, 1.1, (4, 3)),
-    ]
+    unit = names.output.unit
+    drawn = {
+        "output": [
+            (looks["output"], signals.dstar_mps2),
+            (replace(looks["reference"], label=label), beside),
+        ],
+        "error": [
+            (
+                Curve("distance", distance, unit, "blue", 0.8),
+                np.maximum(apart(beside, signals), network.feedback.lsb),
+            )
+        ],
+    }
     if TRUE_OUTPUT in signals.plant and not scenario.design.feedback:
-        output.append(curve(f"true {names.output.name}", signals.plant[TRUE_OUTPUT], style.GREEN))
+        true = Curve("true_output", f"true {names.output.name}", unit, "green")
+        drawn["output"].append((true, signals.plant[TRUE_OUTPUT]))
     other = counterpart(scenario, names, signals)
     if other is not None:
-        output.append(curve(other[1], other[0], style.PALE_BLUE))
-    size = curve(distance, apart(beside, signals), style.BLUE, 0.8)
-    size = replace(size, values=np.maximum(size.values, network.feedback.lsb))
-    commands = [
-        Panel(
-            name.name,
-            printed(name.unit),
-            [
-                curve("commanded", command, style.PALE_ORANGE, 2.4),
-                curve("applied", applied, style.ORANGE, 1.0),
-            ],
-        )
-        for name, command, applied in zip(
-            names[1:],
-            (signals.torque_nm, signals.force_difference_n),
-            applied_commands(scenario, signals),
-            strict=True,
-        )
-    ]
-    unit = printed(names.output.unit)
-    estimate = curve("fault estimate", signals.fault_estimate_mps2, style.GREEN)
-    state = [
-        curve("mode", signals.mode, style.BLUE, stepped=True),
-        curve("fault state", signals.fault_state, style.ORANGE, stepped=True),
-    ]
-    speed = signals.plant.get(SPEED)
+        near = not _remote(other[0], signals.dstar_mps2)
+        curve = Curve("other", other[1], unit, "orange", 1.2, (2, 2), sets_scale=near)
+        drawn["output"].append((curve, other[0]))
+    applied = applied_commands(scenario, signals)
+    commanded = signals.torque_nm, signals.force_difference_n
+    for n, pair in enumerate(zip(commanded, applied, strict=True), 1):
+        keys = f"command_{n}", f"applied_{n}"
+        drawn[keys[0]] = [(looks[key], of) for key, of in zip(keys, pair, strict=True)]
+    drawn["estimate"] = [(looks["estimate"], signals.fault_estimate_mps2)]
+    drawn["mode"] = [(looks["mode"], signals.mode)]
+    drawn["fault_state"] = [(looks["fault_state"], signals.fault_state)]
+    titles = {chart.keys[0]: chart.title for chart in charts}
+    titles |= {"error": distance, "estimate": "fault estimate", "fault_state": "fault state"}
+    if SPEED in signals.plant:
+        drawn["speed"] = [(Curve("speed", "speed", "m/s"), signals.plant[SPEED])]
     return [
-        Panel(names.output.name, unit, output),
-        Panel(distance, unit, [size], logarithmic=True),
-        *commands,
-        Panel("fault estimate", unit, [estimate]),
-        Panel("state", "", state),
-        *([] if speed is None else [Panel("speed", "m/s", [curve("speed", speed, style.INK)])]),
+        Panel(
+            Chart(
+                titles.get(key, key),
+                tuple(curve.key for curve, _ in curves),
+                "log" if key == "error" else "linear",
+            ),
+            curves,
+        )
+        for key, curves in drawn.items()
     ]
 
 
-def packed(time_s: FloatArray, shown: list[Panel]) -> dict[str, Any]:
-    """The panels for JSON; ``data`` holds the deflated numbers for ``report.js``.
+def _remote(values: FloatArray, other: FloatArray) -> bool:
+    """Whether a curve reaches so far that the axis would hide the other curve."""
+    finite, size = values[np.isfinite(values)], other[np.isfinite(other)]
+    return bool(len(finite) and len(size) and np.ptp(finite) > FAR * np.ptp(size))
 
-    First the time in double precision, then each curve in single precision.
-    """
-    times = extremes_at(time_s, ticks_of_a_part(len(time_s)))
-    columns = [curve.values for panel in shown for curve in panel.curves]
-    raw = b"".join(
-        [times.astype("<f8").tobytes(), *(column.astype("<f4").tobytes() for column in columns)]
-    )
-    return {
-        "points": len(times),
-        "panels": [
-            {
-                "name": panel.name,
-                "unit": panel.unit,
-                "log": panel.logarithmic,
-                "curves": [
-                    {
-                        "label": curve.label,
-                        "color": curve.color,
-                        "width": curve.width,
-                        "dash": list(curve.dash),
-                        "stepped": curve.stepped,
-                    }
-                    for curve in panel.curves
-                ],
-            }
-            for panel in shown
+
+def recording(scenario: Scenario, network: Network, signals: Signals) -> Recording:
+    """What the bench shows of a run."""
+    shown = panels(scenario, network, signals)
+    return Recording(
+        signals.time_s,
+        [pair for panel in shown for pair in panel.curves],
+        [panel.chart for panel in shown],
+        [
+            {"begin": each.at_s, "end": _end_of(each), "colour": colour}
+            for colour, every in (("confirmed", scenario.faults), ("sky", scenario.disturbances))
+            for each in every
         ],
-        "data": base64.b64encode(zlib.compress(raw, 1)).decode("ascii"),
-    }
+        [event._asdict() for event in events(scenario, network, signals)],
+        scene(scenario, signals),
+        CHART_HEIGHT,
+    )
 
 
-def ticks_of_a_part(ticks: int) -> int:
-    """Ticks of each part of a run with ``ticks`` ticks."""
-    return -(-2 * ticks // MOST_POINTS) if ticks > MOST_POINTS else 1
+def _end_of(each: FaultSettings | DisturbanceSettings) -> float | None:
+    return None if each.for_s is None else each.at_s + each.for_s
 
 
-def extremes(values: FloatArray, ticks: int) -> FloatArray:
-    """The least and the greatest of each ``ticks`` values, in this order; 1 keeps every value.
-
-    nan for a part of nan only.
-    """
-    if ticks == 1:
-        return values
-    found = [np.empty(0)]
-    step = ticks * max(1, paged.BLOCK_ROWS // ticks)
-    for begin in range(0, len(values), step):
-        block = values[begin : begin + step]
-        parts = np.pad(block, (0, -len(block) % ticks), constant_values=np.nan).reshape(-1, ticks)
-        known = ~np.isnan(parts)
-        least = np.where(known, parts, np.inf).min(axis=1)
-        greatest = np.where(known, parts, -np.inf).max(axis=1)
-        both = np.stack([least, greatest], axis=1)
-        both[~known.any(axis=1)] = np.nan
-        found.append(both.ravel())
-        paged.let_go()
-    return np.concatenate(found)
-
-
-def extremes_at(time_s: FloatArray, ticks: int) -> FloatArray:
-    """The times of ``extremes``: start and middle of each part."""
-    if ticks == 1:
-        return time_s
-    starts = time_s[::ticks]
-    half = 0.5 * ticks * (time_s[1] - time_s[0])
-    return np.stack([starts, starts + half], axis=1).ravel()
+CHART_HEIGHT: Final = 150
+"""Of a chart of the page, in pixels."""
 
 
 class Event(NamedTuple):
@@ -203,8 +145,8 @@ def events(scenario: Scenario, network: Network, signals: Signals) -> list[Event
             found.append(Event(each.at_s, f"{noun} begins: {label}"))
         if each.for_s is not None and each.at_s + each.for_s < end_s:
             found.append(Event(each.at_s + each.for_s, f"{noun} ends: {label}"))
-    found += _changes("mode", signals.time_s, signals.mode, network.status.modes)
-    states = network.status.fault_states
+    found += _changes("mode", signals.time_s, signals.mode, in_small_letters(network.status.modes))
+    states = in_small_letters(network.status.fault_states)
     found += _changes("fault state", signals.time_s, signals.fault_state, states)
     if VERDICT in signals.whose_fault:
         words = {int(verdict): in_words(verdict, names) for verdict in Verdict}
@@ -225,13 +167,20 @@ def _changes(
         last = codes[known[-1]] if len(known) else last
 
 
-MOST_EVENTS: Final = 200
 STYLE: Final = """
-body { max-width: 75em; padding: 0 1em; }
-#plots { position: relative; }
-.uplot { margin-bottom: 0.5em; }
-.hint { color: #666; font-size: 85%; }
-details { margin: 1em 0; }
+body { max-width: none; }
+main { max-width: 75rem; margin: 1rem auto; padding: 0 1rem; }
+table { border-collapse: collapse; margin: .5rem 0; }
+th, td { padding: .15rem .8rem .15rem 0; text-align: left; vertical-align: top; }
+th { border-bottom: 1px solid var(--soft); }
+td.n { text-align: right; font-variant-numeric: tabular-nums; }
+code { font-size: 85%; color: var(--soft); overflow-wrap: anywhere; }
+h1 { font-size: 1.3rem; } h2 { font-size: 1.05rem; }
+p { margin: .2rem 0; }
+.hint { color: var(--soft); }
+#marks { columns: 22rem; max-height: 14rem; overflow: auto; font-variant-numeric: tabular-nums; }
+#play input { flex: 1; padding: 0; }
+.key { border: 0; background: none; text-align: left; text-decoration: underline; }
 """
 
 
@@ -255,66 +204,51 @@ def web_page(
     """
     names = names_of(scenario.plant)
     title, *lines = page_title(scenario, names, signals).split("\n")
-    shades = [
-        {
-            "label": label,
-            "color": color,
-            "begin": each.at_s,
-            "end": None if each.for_s is None else each.at_s + each.for_s,
-        }
-        for label, color, each in _to_shade(scenario, names)
-    ]
-    drawn = packed(signals.time_s, panels(scenario, network, signals)) | {"shades": shades}
-    happened = events(scenario, network, signals)
-    more = len(happened) - MOST_EVENTS
     parts = [
+        "<main>",
         f"<h1>{html.escape(title)}</h1>",
         *(f"<p>{html.escape(line)}</p>" for line in lines),
-        '<p class="hint">Drag over a curve to zoom in, double-click for the whole run; a click on '
-        "a name hides its curve.</p>",
-        '<div id="plots"></div>',
+        '<p class="hint">Drag or turn the wheel to zoom, shift and drag to pan, double-click for '
+        "the whole run, click to set a mark and read differences. A name hides its curve.</p>",
+        *recorded(recording(scenario, network, signals)),
         "<h2>Metrics</h2>",
-        table(("", "value"), _known(values)),
-        *_of_faults(faults),
-        "<h2>Events</h2>",
-        table(("time in s", ""), happened[:MOST_EVENTS]),
-        f"<p>and {more} more</p>" if more > 0 else "",
+        table(("", "value", "unit", "key in run.json"), _in_units(_known(values), names)),
+        *_of_faults(faults, names),
         "<details><summary>Scenario</summary>",
         table(("key", "value"), _leaves(said.as_dict())),
-        "</details>",
-        f'<script type="application/json" id="run">{_in_a_script(drawn)}</script>',
-        f"<script>{uplot.script()}</script>",
-        f"<script>{_own_script()}</script>",
+        "</details></main>",
     ]
-    return page(title, parts, uplot.style() + STYLE)
+    return page(title, parts, bench_style() + STYLE)
 
 
-def _to_shade(
-    scenario: Scenario, names: Names
-) -> Iterator[tuple[str, str, FaultSettings | DisturbanceSettings]]:
-    """Label and color of every fault and disturbance."""
-    for fault in scenario.faults:
-        yield fault_label(fault, names), style.SHADE, fault
-    for disturbance in scenario.disturbances:
-        yield disturbance_label(disturbance), style.SKY, disturbance
+def _in_units(
+    values: Iterable[tuple[str, Any]], names: Names
+) -> Iterator[tuple[str, Any, str, Code]]:
+    """Name, value, unit of the plant, and key of each metric."""
+    own = {of_car.unit: signal.unit for of_car, signal in zip(CAR, names, strict=True)}
+    for key, value in values:
+        unit, words = unit_of(key), key.split("_")
+        if unit:
+            over = 3 if "per" in words[-2:-1] and words[-1] != "hour" else 1
+            words = words[: -2 if words[-1] == "hour" else -over]
+        shown = in_words(Verdict[value], names) if key == "verdict" else _words(value)
+        yield " ".join(words), shown, own.get(unit, unit), Code(key)
 
 
-def _of_faults(faults: list[dict[str, Any]]) -> Iterator[str]:
-    if not faults:
-        return
-    yield "<h2>Faults</h2>"
-    columns = [fault.values() for fault in faults]
-    rows = zip(faults[0], *columns, strict=True)
-    heads = ("", *(str(number) for number in range(len(faults))))
-    yield table(heads, ([_shown(cell) for cell in row] for row in rows))
+def _words(value: Any) -> Any:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return value
+
+
+def _of_faults(faults: list[dict[str, Any]], names: Names) -> Iterator[str]:
+    for number, fault in enumerate(faults, 1):
+        yield f"<h2>Fault {number}</h2>"
+        yield table(("", "value", "unit", "key in run.json"), _in_units(_known(fault), names))
 
 
 def _known(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     yield from ((key, value) for key, value in values.items() if value is not None)
-
-
-def _shown(value: Any) -> Any:
-    return "" if value is None else value
 
 
 def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -327,13 +261,3 @@ def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
             yield from _leaves(numbered, f"{prefix}{key}.")
         elif value is not None:
             yield f"{prefix}{key}", Code(value) if isinstance(value, str) else value
-
-
-def _in_a_script(values: dict[str, Any]) -> str:
-    """JSON that cannot end the surrounding element."""
-    return json.dumps(values, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
-
-
-@cache
-def _own_script() -> str:
-    return Path(__file__).with_name("report.js").read_text(encoding="utf-8")

@@ -77,8 +77,9 @@ def test_signals_have_it_and_replay_knows_it(log: Path) -> None:
 def test_report_and_panel_show_it(log: Path) -> None:
     signals = read_signals(log, NETWORK, SCENARIO.tick_s)
     speed = panels(SCENARIO, NETWORK, signals)[-1]
-    assert (speed.name, speed.unit) == ("speed", "m/s")
-    assert speed.curves[0].values[-1] == pytest.approx(13.0)
+    curve, values = speed.curves[0]
+    assert (speed.chart.title, curve.unit) == ("speed", "m/s")
+    assert values[-1] == pytest.approx(13.0)
     drawn = page(SCENARIO, NETWORK, signals).axes[-1]  # over the fault estimate
     assert drawn.lines[0].get_ydata().max() == pytest.approx(13.0)
     live = LiveSignals(SCENARIO, NETWORK)

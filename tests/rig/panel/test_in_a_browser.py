@@ -22,7 +22,7 @@ def page():
         pytest.skip("NOT TESTED: there is no chromium here (apt-get install chromium)")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        opened = browser.new_page(viewport={"width": 1280, "height": 900})
+        opened = browser.new_page(viewport={"width": 1280, "height": 800})
         opened.set_default_timeout(PATIENCE_MS)
         yield opened
         browser.close()
@@ -48,9 +48,9 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     page.goto(touch)
     page.click("#start")
     expect(page.locator("#fault_state")).to_have_text("no fault", timeout=PATIENCE_MS)
-    page.click("#motor-dead")
+    page.click("#quick button >> nth=0")
     expect(page.locator("#fault_state")).to_have_text("loss confirmed", timeout=PATIENCE_MS)
-    expect(page.locator("#events")).to_contain_text("actuator-dead torque 0")
+    expect(page.locator("#events")).to_contain_text("steering torque dead 0")
     expect(page.locator("#fault_state")).to_have_class(re.compile("warn"))
     expect(page.locator("#verdict")).to_have_text(re.compile("lost"), timeout=PATIENCE_MS)
     expect(page.locator("#verdict")).to_have_class(re.compile("warn"))
@@ -63,11 +63,11 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     )
     assert ink > 20  # a curve and its colours, not an empty frame
     page.click("#stop")
-    expect(page.locator("#folder")).to_contain_text("run folder", timeout=PATIENCE_MS)
+    expect(page.locator("#state")).to_contain_text("run folder", timeout=PATIENCE_MS)
     page.fill("#save-name", "by-hand")
     page.click("#save")
     expect(page.locator("#message")).to_have_text("saved as by-hand.toml")
-    folder = Path(page.inner_text("#folder").split()[-1])
+    folder = Path(page.inner_text("#state").split()[-1].rstrip("."))
     process.terminate()
     assert process.wait(60) == 0
     assert errors == []
@@ -86,8 +86,67 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
 def test_who_may_look_only_finds_the_buttons_off(page):
     process, (_touch, look) = panel("ideal")
     page.goto(look)
-    expect(page.locator("#connection")).to_have_text("connected")
-    for button in ("start", "pause", "motor-dead", "save"):
-        expect(page.locator(f"#{button}")).to_be_disabled()
+    expect(page.locator("body")).to_have_attribute("data-state", "ready")
+    expect(page.locator("#why")).to_have_text("This address may look only.")
+    expect(page.locator("[data-order]:enabled")).to_have_count(0)
     process.terminate()
     process.wait(60)
+
+
+ENABLED = "document.querySelectorAll('[data-order]:enabled').length"
+HIGHER = "document.documentElement.scrollHeight - innerHeight"
+WIDER = "document.documentElement.scrollWidth - innerWidth"
+INVISIBLE = """[...document.querySelectorAll('button:enabled')].filter((b) => {
+  const style = getComputedStyle(b); return style.color === style.backgroundColor; }).length"""
+NAMELESS = """[...document.querySelectorAll('button, select, input, figure')].filter((e) =>
+  !(e.textContent.trim() || e.ariaLabel || (e.labels && e.labels.length))).map((e) => e.id)"""
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("colours", ["light", "dark"])
+def test_each_state_is_said_and_what_has_no_effect_is_disabled(page, colours):
+    process, (touch, _look) = panel(
+        "pendulum", "--set", "fault.kind=none", "--set", "duration_s=60"
+    )
+    page.emulate_media(color_scheme=colours)
+    page.goto(touch)
+
+    def state(name: str, says: str) -> None:
+        expect(page.locator("body")).to_have_attribute("data-state", name, timeout=PATIENCE_MS)
+        expect(page.locator("#state")).to_contain_text(says)
+        assert page.evaluate(NAMELESS) == []
+        assert page.evaluate(INVISIBLE) == 0
+        for width, height in ((390, 844), (1280, 800)):
+            page.set_viewport_size({"width": width, "height": height})
+            assert page.evaluate(WIDER) <= 0
+        assert page.evaluate(HIGHER) <= 0
+
+    state("ready", "Press Start")
+    expect(page.locator("#quick button").first).to_be_disabled()
+    page.focus("#start")
+    page.keyboard.press("Enter")
+    state("running", "1 × real time")
+    expect(page.locator("#start")).to_be_disabled()
+    expect(page.locator("#quick button").first).to_have_text("Torque lost")
+    page.focus("#move")
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#events")).to_contain_text("move reference 0.005")
+    expect(page.locator("#moved")).to_have_text("+0.005 rad")
+    page.focus("#pause")
+    page.keyboard.press("Enter")
+    state("paused", "Go on")
+    page.click("#step")
+    page.click("#pause")
+    state("running", "1 × real time")
+    page.focus(".chart >> nth=0")
+    page.keyboard.press("ArrowLeft")
+    expect(page.locator("#bar output")).to_contain_text("values at")
+    page.keyboard.press("Enter")
+    expect(page.locator("#bar output")).to_contain_text("after the mark")
+    page.click("#stop")
+    state("ended", "was stopped")
+    expect(page.locator("#save")).to_be_enabled()
+    process.terminate()
+    assert process.wait(60) == 0
+    state("gone", "program is gone")
+    assert page.evaluate(ENABLED) == 0

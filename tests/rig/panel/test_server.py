@@ -73,7 +73,7 @@ def test_names_and_origins_are_exact():
 
 def test_the_page_and_its_parts_need_a_token(run):
     async def test(client, _own):
-        for name in ("", "panel.js", "panel.css", "uplot.js", "uplot.css"):
+        for name in ("", "panel.js", "charts.js", "scene.js", "bench.css", "uplot.js", "uplot.css"):
             answer = await client.get(f"/{LOOK}/{name}")
             assert answer.status == 200
             assert "default-src 'none'" in answer.headers["Content-Security-Policy"]

@@ -139,7 +139,7 @@ def test_memory_hardly_grows_with_a_run(
     long_from(1500, monkeypatch)
     monkeypatch.setattr(in_windows, "WINDOW_TICKS", 970)
     monkeypatch.setattr("can_rig.drawing.thinning.MAX_POINTS", 1000)
-    monkeypatch.setattr("can_rig.results.report.web_page.MOST_POINTS", 1000)
+    monkeypatch.setattr("can_rig.drawing.bench.MOST_POINTS", 1000)
     monkeypatch.setattr("can_rig.logs.reading.read_log.__defaults__", (1000, *_rest()))
     peaks = []
     for ticks in (2000, 2000, 9000):  # the first one compiles, imports and remembers

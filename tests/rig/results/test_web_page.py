@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
+from can_rig.drawing.bench import packed
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.metrics import fault_metrics, metrics
-from can_rig.results.report.web_page import events, extremes, extremes_at, packed, panels, web_page
+from can_rig.results.report.web_page import events, recording, web_page
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
@@ -35,18 +34,17 @@ def ran() -> tuple[Scenario, Signals, str]:
     return scenario, signals, page
 
 
-def numbers(run: dict[str, Any]) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Time and curves, as the page unpacks them."""
+def numbers(run: dict[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Time, and curves by key, as the page unpacks them."""
     raw, points = zlib.decompress(base64.b64decode(run["data"])), run["points"]
-    curves = sum(len(panel["curves"]) for panel in run["panels"])
-    single = np.frombuffer(raw[8 * points :], "<f4").reshape(curves, points)
-    return np.frombuffer(raw[: 8 * points], "<f8"), list(single)
+    single = np.frombuffer(raw[8 * points :], "<f4").reshape(len(run["keys"]), points)
+    return np.frombuffer(raw[: 8 * points], "<f8"), dict(zip(run["keys"], single, strict=True))
 
 
 def test_the_page_needs_nothing_but_itself(ran: tuple[Scenario, Signals, str]) -> None:
     page = ran[2]
     assert not re.findall(r"(?:src|href|import|url)\s*[=(]\s*[\"']?(?!data:)(?:https?:)?//", page)
-    assert page.count("<script") == page.count("</script>") == 3
+    assert page.count("<script") == page.count("</script>") == 5
     assert "uPlot=function" in page
 
 
@@ -57,11 +55,11 @@ def test_the_numbers_are_those_of_the_run(ran: tuple[Scenario, Signals, str]) ->
     run = json.loads(found[1])
     time_s, curves = numbers(run)
     np.testing.assert_array_equal(time_s, signals.time_s)
-    np.testing.assert_array_equal(curves[0], signals.dstar_mps2.astype(np.float32))
-    assert np.isnan(curves[0]).sum() == 50  # of the frames that were missing
-    names = [curve["label"] for panel in run["panels"] for curve in panel["curves"]]
-    at = names.index("commanded")
-    np.testing.assert_array_equal(curves[at], signals.torque_nm.astype(np.float32))
+    np.testing.assert_array_equal(curves["output"], signals.dstar_mps2.astype(np.float32))
+    assert np.isnan(curves["output"]).sum() == 50  # of the frames that were missing
+    np.testing.assert_array_equal(curves["command_1"], signals.torque_nm.astype(np.float32))
+    shown = {key for chart in run["charts"] for key in chart["keys"]}
+    assert shown == {curve["key"] for curve in run["curves"]} == set(curves)
     assert [(shade["begin"], shade["end"]) for shade in run["shades"]] == [
         (0.8, None),
         (0.2, 0.25),
@@ -73,6 +71,8 @@ def test_the_page_says_what_happened_and_what_was_run(ran: tuple[Scenario, Signa
     scenario, signals, page = ran
     for text in (
         "detection_delay_s",
+        "<td>detection delay</td>",
+        "<td>s</td>",
         "fault.1.channel",
         "default: 2 faults",
         "gust of 50 N from 0.3 s to 0.5 s",
@@ -82,41 +82,26 @@ def test_the_page_says_what_happened_and_what_was_run(ran: tuple[Scenario, Signa
     said = [(round(e.time_s, 6), e.text) for e in events(scenario, network_of(scenario), signals)]
     assert (0.2, "fault begins: D* lost") in said
     assert (0.25, "fault ends: D* lost") in said
-    assert (0.2, "mode: BLIND") in said
+    assert (0.2, "mode: blind") in said
     assert (0.3, "disturbance begins: gust of 50 N") in said
     assert (0.5, "disturbance ends: gust of 50 N") in said
     assert (0.8, "fault begins: steering torque lost") in said
-    suspected = [time_s for time_s, text in said if text == "fault state: SUSPECTED"]
+    suspected = [time_s for time_s, text in said if text == "fault state: suspected"]
     assert suspected
     assert suspected[-1] > 0.8
     assert said == sorted(said, key=lambda event: event[0])
 
 
-@given(
-    st.lists(st.floats(-1e6, 1e6, width=32) | st.just(float("nan")), min_size=1, max_size=200),
-    st.integers(1, 30),
-)
-def test_no_peak_disappears(values: list[float], ticks: int) -> None:
-    """Part by part, in plain Python."""
-    drawn = extremes(np.array(values), ticks)
-    if ticks > 1:
-        parts = [values[at : at + ticks] for at in range(0, len(values), ticks)]
-        known = [[v for v in part if not np.isnan(v)] for part in parts]
-        by_hand = [v for k in known for v in ((min(k), max(k)) if k else (np.nan, np.nan))]
-        np.testing.assert_array_equal(drawn, by_hand)
-    times = extremes_at(0.001 * np.arange(len(values)), ticks) if len(values) > 1 else drawn
-    assert len(times) == len(drawn)
-    assert (np.diff(times) > 0.0).all() or len(values) == 1
-
-
 def test_a_long_run_has_few_points_and_every_peak(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("can_rig.results.report.web_page.MOST_POINTS", 100)
+    monkeypatch.setattr("can_rig.drawing.bench.MOST_POINTS", 100)
     scenario = load("ideal", ["duration_s=1.013"])
     signals = signals_without_log(scenario)
-    run = packed(signals.time_s, panels(scenario, network_of(scenario), signals))
-    time_s, curves = numbers(run)
+    time_s, curves = numbers(packed(recording(scenario, network_of(scenario), signals)))
     assert len(time_s) <= 100
-    assert curves[0].max() == np.float32(signals.dstar_mps2.max())
+    assert (np.diff(time_s) > 0.0).all()
+    for key, values in (("output", signals.dstar_mps2), ("command_1", signals.torque_nm)):
+        assert curves[key].max() == np.float32(values.max())
+        assert curves[key].min() == np.float32(values.min())
 
 
 def test_a_run_without_a_tick_has_a_page() -> None:

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from can_rig.assessment.resolve import load
+from can_rig.drawing.names import unit_of
 from can_rig.errors import LogError
 from can_rig.views.diff import compare, tolerances_of
 from can_rig.views.pictures import difference_page
-from can_rig.views.signal_table import SignalTable, read_table, unit
+from can_rig.views.signal_table import SignalTable, read_table
 from tests.helpers import asked
 
 SHORT = ("--set", "duration_s=0.3", "--set", "fault.at_s=0.2", "--in-process")
@@ -147,7 +148,7 @@ def test_tolerances_and_units() -> None:
         "per_s": "",
         "mode": "",
     }
-    assert {name: unit(name) for name in expected} == expected
+    assert {name: unit_of(name) for name in expected} == expected
 
 
 @pytest.mark.filterwarnings("error")

@@ -1,0 +1,266 @@
+// Charts of signals over time, of a live run or a recorded run: one zoom, one cursor, one time axis.
+"use strict";
+
+const LEAST_HEIGHT = 70, TIME_AXIS = 30;
+const element = (name, more, ...children) => {
+  const made = Object.assign(document.createElement(name), more);
+  made.append(...children);
+  return made;
+};
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`);
+const shown = (v) => (v === null || v === undefined ? "–" : Math.abs(v) >= 1e5 || (v !== 0 && Math.abs(v) < 1e-3) ? v.toExponential(2) : String(Number(v.toPrecision(4))));
+
+class Charts {
+  // `place` gets the charts, `bar` the time at the cursor and the list of signals; `fit` fills the
+  // height of the place, else each chart has `height` pixels.
+  constructor(place, bar, { height = 0, windowS = null } = {}) {
+    Object.assign(this, { place, height, windowS, plots: [], data: {}, marks: [], shades: [], range: null, pin: null, at: null });
+    this.time = element("output", { textContent: "" });
+    this.add = element("select", { ariaLabel: "add a chart" });
+    this.add.onchange = () => { this.addChart(this.add.value); this.add.selectedIndex = 0; };
+    const whole = element("button", { textContent: "Whole time", title: "show the whole time (double click, or key 0)" });
+    whole.onclick = () => this.zoom(null);
+    bar.append(this.add, whole, this.time);
+    new ResizeObserver(() => this.resize()).observe(place);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.remake());
+  }
+
+  // Curves and charts of a run, as `Curve` and `Chart` of Python describe them.
+  describe(curves, charts) {
+    this.curves = Object.fromEntries(curves.map((each) => [each.key, each]));
+    this.charts = charts.map((each) => ({ ...each, keys: [...each.keys] }));
+    this.add.replaceChildren(new Option("add a chart …", ""), ...curves.map((c) => new Option(c.label, c.key)));
+    [this.range, this.pin, this.at] = [null, null, null];
+    this.remake();
+  }
+
+  addChart(key) {
+    const of = this.curves[key];
+    this.charts.push({ title: of.label, keys: [key], scale: "linear" });
+    this.remake();
+  }
+
+  addTo(chart, key) { if (!chart.keys.includes(key)) chart.keys.push(key); this.remake(); }
+
+  remove(chart) { this.charts = this.charts.filter((each) => each !== chart); this.remake(); }
+
+  toggle(chart, key, button) {
+    const shows = button.ariaPressed !== "true";
+    button.ariaPressed = String(shows);
+    this.plots.find((each) => each.chart === chart).plot.setSeries(chart.keys.indexOf(key) + 1, { show: shows });
+  }
+
+  // Draw `data`, an array of values for each key and for `time`.
+  setData(data) { this.data = data; this.draw(); }
+
+  draw() {
+    const time = this.data.time || [];
+    const end = time.length ? time[time.length - 1] : 0;
+    let { min, max } = this.range || { min: time[0] || 0, max: end };
+    if (!this.range && this.windowS) { min = Math.max(0, end - this.windowS); max = Math.max(end, this.windowS); }
+    this.moving = true;
+    for (const { plot, chart } of this.plots) {
+      plot.batch(() => {
+        plot.setData([time, ...chart.keys.map((key) => this.data[key] || time.map(() => null))], false);
+        plot.setScale("x", { min, max });
+      });
+    }
+    this.moving = false;
+    this.showValues();
+  }
+
+  zoom(range) { this.range = range; this.draw(); }
+
+  showValues() {
+    const time = this.data.time || [], last = time.length - 1;
+    const at = this.at === null ? last : this.index(this.at), pin = this.pin === null ? null : this.index(this.pin);
+    for (const { chart, values } of this.plots) {
+      chart.keys.forEach((key, i) => {
+        const v = (this.data[key] || [])[at], p = pin === null ? null : (this.data[key] || [])[pin];
+        const { words } = this.curves[key];
+        values[i].textContent = words && v !== null && v !== undefined ? words[v] || v : shown(v) + (pin === null || v === null || p === null ? "" : ` (Δ ${shown(v - p)})`);
+      });
+    }
+    const t = (s) => `${s.toFixed(3)} s`;
+    const here = last < 0 ? "" : this.at === null ? `last values, at ${t(time[last])}` : `values at ${t(time[at])}`;
+    this.time.textContent = here + (pin === null || last < 0 ? "" : `, ${t(time[at] - time[pin])} after the mark`);
+  }
+
+  index(time_s) {
+    const time = this.data.time || [];
+    let low = 0, high = time.length - 1;
+    while (low < high) { const middle = (low + high + 1) >> 1; if (time[middle] <= time_s) low = middle; else high = middle - 1; }
+    return low;
+  }
+
+  remake() {
+    for (const { plot, figure } of this.plots) { plot.destroy(); figure.remove(); }
+    if (!this.charts) return;
+    this.plots = this.charts.map((chart, i) => this.make(chart, i === this.charts.length - 1));
+    this.resize();
+  }
+
+  resize() {
+    const n = this.plots.length, width = this.place.clientWidth;
+    if (!n || !width) return;
+    const captions = this.plots.reduce((sum, { caption }) => sum + caption.offsetHeight, 0);
+    const height = this.height || Math.max(LEAST_HEIGHT, Math.floor((this.place.clientHeight - TIME_AXIS - captions) / n));
+    this.plots.forEach(({ plot, chart }, i) => {
+      plot.setSize({ width, height: (this.height && this.curves[chart.keys[0]].words ? 0.7 : 1) * height + (i === n - 1 ? TIME_AXIS : 0) });
+    });
+    this.draw();
+  }
+
+  // The background of a chart: times of faults and states, events with their number.
+  shade(u) {
+    const { left, top, width, height } = u.bbox, { ctx } = u;
+    ctx.save();
+    ctx.beginPath(); ctx.rect(left, top, width, height); ctx.clip();
+    for (const { begin, end, colour: name } of this.shades) {
+      const from = u.valToPos(begin, "x", true), to = end === null ? left + width : u.valToPos(end, "x", true);
+      ctx.fillStyle = colour(name);
+      ctx.fillRect(from, top, Math.max(to - from, 1), height);
+    }
+    const lines = [...this.marks.map(({ time_s }) => [time_s, "ink", []]), ...(this.pin === null ? [] : [[this.pin, "blue", [4, 3]]])];
+    for (const [time_s, name, dash] of lines) {
+      const x = Math.round(u.valToPos(time_s, "x", true));
+      ctx.strokeStyle = colour(name); ctx.lineWidth = devicePixelRatio; ctx.setLineDash(dash);
+      ctx.beginPath(); ctx.moveTo(x + 0.5, top); ctx.lineTo(x + 0.5, top + height); ctx.stroke();
+    }
+    ctx.restore();
+  }
+
+  caption(chart) {
+    const values = [], keys = element("span", { className: "keys" });
+    for (const key of chart.keys) {
+      const curve = this.curves[key], value = element("output");
+      const line = `<svg viewBox="0 0 24 8" aria-hidden="true"><path d="M0 4H24" stroke="var(--${curve.colour})" stroke-width="${1.5 * curve.width}" stroke-dasharray="${curve.dash.join(" ")}"/></svg>`;
+      const button = element("button", { className: "key", innerHTML: line, title: "show or hide", ariaPressed: "true" });
+      button.append(chart.keys.length > 1 || curve.label !== chart.title ? curve.label.replace(`${chart.title} `, "") : "", value);
+      button.onclick = () => this.toggle(chart, key, button);
+      keys.append(button); values.push(value);
+    }
+    const more = element("select", { ariaLabel: `add a signal to ${chart.title}`, className: "icon" }, new Option("+", ""));
+    more.append(...Object.values(this.curves).filter((c) => !chart.keys.includes(c.key)).map((c) => new Option(c.label, c.key)));
+    more.onchange = () => this.addTo(chart, more.value);
+    const close = element("button", { className: "icon", textContent: "×", ariaLabel: `remove the chart ${chart.title}` });
+    close.onclick = () => this.remove(chart);
+    const { unit } = this.curves[chart.keys[0]];
+    const title = element("b", { textContent: chart.title + (unit ? ` in ${unit}` : "") });
+    return { values, caption: element("figcaption", {}, title, keys, more, close) };
+  }
+
+  make(chart, isLast) {
+    const { values, caption } = this.caption(chart), ink = colour("soft"), rule = colour("rule");
+    const figure = element("figure", { className: "chart", tabIndex: 0, ariaLabel: `${chart.title} over time; arrow keys move the cursor, Enter sets the mark, plus and minus zoom` }, caption);
+    this.place.append(figure);
+    const grid = { stroke: rule, width: 1 }, font = "12px system-ui, sans-serif";
+    const words = this.curves[chart.keys[0]].words;
+    const splits = words ? wordAxis(words) : { linear: {}, log: DECADES, asinh: ASINH }[chart.scale];
+    const plot = new uPlot({
+      width: Math.max(this.place.clientWidth, 50), height: LEAST_HEIGHT, padding: [6, 12, isLast ? 0 : 6, 0],
+      cursor: { sync: { key: "bench" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { this.zoom(null); return null; } } },
+      scales: { x: { time: false }, y: words ? { range: wordRange(words) } : { linear: {}, log: { distr: 3 }, asinh: { distr: 4, asinh: 10 } }[chart.scale] },
+      axes: [
+        { stroke: ink, grid, font, size: isLast ? TIME_AXIS : 0, values: isLast ? (u, ticks) => ticks.map((v) => `${Number(v.toPrecision(7))} s`) : () => [], ticks: { show: isLast, stroke: rule } },
+        { stroke: ink, grid, font, size: 78, space: 14, ticks: { stroke: rule }, ...splits },
+      ],
+      series: [{}, ...chart.keys.map((key) => {
+        const { colour: name, width, dash, stepped, sets_scale } = this.curves[key];
+        return { stroke: colour(name), width, dash: dash.length ? dash : undefined, points: { show: false }, spanGaps: this.spanGaps, auto: sets_scale, paths: stepped ? uPlot.paths.stepped({ align: 1 }) : undefined };
+      })],
+      hooks: {
+        drawClear: [(u) => this.shade(u)],
+        setCursor: [(u) => {
+          if (this.moving || !u.cursor.event) return;
+          this.at = u.cursor.left < 0 ? null : u.posToVal(u.cursor.left, "x");
+          if (this.onCursor) this.onCursor(this.at);
+          this.showValues();
+        }],
+        setSelect: [(u) => {
+          if (u.select.width < 4) return;
+          this.zoom({ min: u.posToVal(u.select.left, "x"), max: u.posToVal(u.select.left + u.select.width, "x") });
+          u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+        }],
+      },
+    }, [[], ...chart.keys.map(() => [])], figure);
+    this.wire(figure, plot);
+    return { chart, plot, figure, caption, values };
+  }
+
+  // Wheel and + - zoom, shift and drag pan, a click or Enter sets the mark, arrow keys move the cursor.
+  wire(figure, plot) {
+    const { over } = plot;
+    const about = (factor, at) => {
+      const { min, max } = plot.scales.x;
+      this.zoom({ min: at - (at - min) * factor, max: at + (max - at) * factor });
+    };
+    over.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      const { min, max } = plot.scales.x, by = (max - min) * 0.1 * Math.sign(event.deltaY);
+      if (event.shiftKey) this.zoom({ min: min + by, max: max + by });
+      else about(event.deltaY > 0 ? 1.25 : 0.8, plot.posToVal(event.offsetX, "x"));
+    }, { passive: false });
+    let from = null;
+    over.addEventListener("mousedown", (event) => {
+      from = { x: event.clientX, range: { ...plot.scales.x } };
+      if (event.shiftKey) event.stopImmediatePropagation();
+    }, true);
+    over.addEventListener("mousemove", (event) => {
+      if (!from || !event.shiftKey || !(event.buttons & 1)) return;
+      const { min, max } = from.range, by = ((from.x - event.clientX) / over.clientWidth) * (max - min);
+      this.zoom({ min: min + by, max: max + by });
+    });
+    over.addEventListener("mouseup", (event) => {
+      if (from && Math.abs(event.clientX - from.x) < 3) this.mark(plot.posToVal(event.offsetX, "x"));
+      from = null;
+    });
+    figure.addEventListener("keydown", (event) => {
+      if (event.target !== figure) return;
+      const { min, max } = plot.scales.x, at = this.at === null ? max : this.at, step = (max - min) / 100;
+      const keys = {
+        ArrowLeft: () => { this.at = Math.max(at - step, min); this.showCursor(); }, ArrowRight: () => { this.at = Math.min(at + step, max); this.showCursor(); },
+        Enter: () => this.mark(at), Escape: () => this.mark(null), "+": () => about(0.8, at), "-": () => about(1.25, at), 0: () => this.zoom(null),
+      };
+      if (keys[event.key]) { event.preventDefault(); keys[event.key](); }
+    });
+  }
+
+  showCursor() {
+    this.moving = true;
+    for (const { plot } of this.plots) plot.setCursor({ left: plot.valToPos(this.at, "x"), top: 5 });
+    this.moving = false;
+    this.showValues();
+  }
+
+  mark(time_s) { this.pin = time_s === null || (this.pin !== null && Math.abs(time_s - this.pin) < 1e-9) ? null : time_s; this.draw(); }
+}
+
+// Axes with a number for each decade, and for some values on both sides of zero.
+const decades = (u, splits) => splits.map((v) => (v !== null && Math.abs(Math.log10(v) % 1) < 1e-6 ? v : null));
+const DECADES = { filter: decades, ticks: { filter: decades, stroke: "#8888" }, grid: { filter: decades }, values: (u, splits) => splits.map((v) => (v === null ? "" : v.toExponential(0))) };
+const STEPS = [-1e6, -1e4, -100, 0, 100, 1e4, 1e6, 1e8, 1e10, 1e12];
+const ASINH = {
+  splits: (u, axis, least, most) => STEPS.filter((v) => v >= least && v <= most), filter: (u, ticks) => ticks,
+  values: (u, ticks) => ticks.map((v) => (Math.abs(v) < 1e4 ? v : v.toExponential(0))),
+};
+
+const wordRange = (words) => { const codes = Object.keys(words).map(Number); return [Math.min(...codes) - 0.5, Math.max(...codes) + 0.5]; };
+
+// An axis of a state: a word for each code.
+function wordAxis(words) {
+  const codes = Object.keys(words).map(Number);
+  return { splits: (u, axis, least, most) => codes.filter((v) => v >= least && v <= most), values: (u, ticks) => ticks.map((v) => words[v]), filter: (u, ticks) => ticks };
+}
+
+// Times of each state of a column of codes: [{begin, end, code}].
+function spans(time, codes) {
+  const found = [];
+  for (let i = 0; i < time.length; i++) {
+    if (codes[i] === null) continue;
+    const last = found[found.length - 1];
+    if (last && last.code === codes[i]) last.end = time[i];
+    else found.push({ begin: time[i], end: time[i], code: codes[i] });
+  }
+  return found;
+}

@@ -1,0 +1,158 @@
+// The plant in motion: a car on its road from above, an angle, a position. Data as `results.motion`.
+"use strict";
+
+const LANE_M = 3.5, BEHIND_M = 14, AHEAD_M = 36, STEERING_SHOWN = 5, TEXT_WIDTH = 270;
+
+class Scene {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.dead = []; this.setting = null; this.data = null;
+    canvas.setAttribute("role", "img");
+    new ResizeObserver(() => this.draw()).observe(canvas);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+  }
+
+  describe(setting, dead) {
+    this.setting = setting; this.dead = dead; this.data = null;
+    this.canvas.hidden = !setting;
+    this.draw();
+  }
+
+  // Draw the row `i` of `data`, arrays by name.
+  show(data, i) { this.data = data; this.row = i; this.draw(); }
+
+  draw() {
+    const { canvas, setting, data } = this, ratio = devicePixelRatio;
+    if (!setting || !canvas.clientWidth) return;
+    const width = canvas.clientWidth, height = canvas.clientHeight;
+    if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) [canvas.width, canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
+    const ctx = (this.ctx = canvas.getContext("2d")), margin = width > 600 ? TEXT_WIDTH : 0;
+    ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+    ctx.clearRect(0, 0, width, height);
+    ctx.font = "12px system-ui, sans-serif"; ctx.lineJoin = ctx.lineCap = "round";
+    ctx.save(); ctx.beginPath(); ctx.rect(margin, 0, width - margin, height); ctx.clip(); ctx.translate(margin, 0);
+    const i = this.row, now = data && data.time.length ? data.time[i] : null;
+    this.broken = now === null ? [] : this.dead.filter((d) => d.begin <= now && (d.end === null || now < d.end));
+    const words = now === null ? ["no motion yet"] : { car: this.car, angle: this.angle, position: this.position }[setting.kind].call(this, width - margin, height, i);
+    ctx.restore();
+    if (now !== null) words.unshift(`${now.toFixed(2)} s`);
+    words.push(...this.broken.map((d) => `✗ ${d.words}`));
+    words.forEach((text, row) => { ctx.fillStyle = colour(text.startsWith("✗") ? "warn" : "ink"); ctx.fillText(text, 8, 16 + 16 * row); });
+    canvas.ariaLabel = words.join(", ");
+  }
+
+  fails(place) { return this.broken.some((d) => d.place === place); }
+
+  line(points, name, width, dash = []) {
+    const { ctx } = this;
+    ctx.strokeStyle = colour(name); ctx.lineWidth = width; ctx.setLineDash(dash);
+    ctx.beginPath(); points.forEach(([x, y], n) => (n ? ctx.lineTo(x, y) : ctx.moveTo(x, y))); ctx.stroke();
+    ctx.setLineDash([]);
+  }
+
+  arrow(x, y, dx, dy, name) {
+    const size = Math.hypot(dx, dy);
+    if (size < 1) return;
+    const [ex, ey] = [dx / size, dy / size], tip = Math.min(size, 7), { ctx } = this;
+    this.line([[x, y], [x + dx, y + dy]], name, 3);
+    ctx.fillStyle = colour(name); ctx.beginPath(); ctx.moveTo(x + dx + ex * tip, y + dy + ey * tip);
+    ctx.lineTo(x + dx - ey * 5, y + dy + ex * 5); ctx.lineTo(x + dx + ey * 5, y + dy - ex * 5); ctx.fill();
+  }
+
+  // The camera keeps the lane level; the car moves in the lane.
+  car(width, height, i) {
+    const { data, setting } = this, lane = data.lane_x ? "lane_" : "";
+    const scale = Math.min(width / (BEHIND_M + AHEAD_M), height / 8);
+    const [cx, cy, turn] = ["x", "y", "heading"].map((name) => data[lane + name][i]);
+    const [cos, sin] = [Math.cos(turn), Math.sin(turn)];
+    const place = (x, y) => { const [dx, dy] = [x - cx, y - cy]; return [(width * BEHIND_M) / (BEHIND_M + AHEAD_M) + scale * (dx * cos + dy * sin), height / 2 - scale * (dy * cos - dx * sin)]; };
+    const way = (prefix, until) => {
+      const xs = data[`${prefix}x`], ys = data[`${prefix}y`], points = [];
+      for (let k = i; k >= 0; k--) { const p = place(xs[k], ys[k]); points.unshift(p); if (p[0] < -50) break; }
+      for (let k = i + 1; k < Math.min(xs.length, until); k++) { const p = place(xs[k], ys[k]); points.push(p); if (p[0] > width + 50 || p[0] < -50) break; }
+      return points;
+    };
+    const road = way(lane, Infinity), n = road.length;
+    if (n > 5) { // beyond the last row: straight on
+      const [[ax, ay], [bx, by]] = [road[n - 5], road[n - 1]], size = Math.hypot(bx - ax, by - ay);
+      if (size > 0.1) road.push([bx + ((bx - ax) / size) * 2 * width, by + ((by - ay) / size) * 2 * width]);
+    }
+    this.line(road, "rule", (LANE_M + 0.3) * scale); this.line(road, "asphalt", LANE_M * scale); this.line(road, "soft", 1, [10, 12]);
+    const words = [];
+    if (data.without_x) {
+      this.line(way("without_", i + 1), "orange", 2, [6, 4]);
+      this.body(place(data.without_x[i], data.without_y[i]), data.without_heading[i] - turn, scale, null);
+      words.push(`without compensation ${this.off(i, "without_").toFixed(2)} m off the lane's middle`);
+    }
+    this.line(way("", i + 1), "blue", 2.5);
+    this.body(place(data.x[i], data.y[i]), data.heading[i] - turn, scale, i);
+    if (lane) words.unshift(`car ${this.off(i, "").toFixed(2)} m off the lane's middle`);
+    words.push(`steering angle ${((180 / Math.PI) * data.steering[i]).toFixed(2)}° (drawn × ${STEERING_SHOWN})`, `rear wheels ${shown(data.applied_2[i])} ${setting.units[2]}`);
+    return words;
+  }
+
+  off(i, prefix) {
+    const { data } = this, turn = data.lane_heading[i];
+    return Math.abs((data[`${prefix}y`][i] - data.lane_y[i]) * Math.cos(turn) - (data[`${prefix}x`][i] - data.lane_x[i]) * Math.sin(turn));
+  }
+
+  // The car at a place of the screen; without a row, an outline.
+  body([x, y], turn, scale, i) {
+    const { ctx, data, setting } = this, [front, rear, track] = setting.sizes;
+    ctx.save(); ctx.translate(x, y); ctx.rotate(-turn);
+    const length = scale * (front + rear + 1.6), broad = scale * (track + 0.25), left = -scale * (rear + 0.8);
+    ctx.beginPath(); ctx.roundRect(left, -broad / 2, length, broad, broad / 4);
+    ctx.lineWidth = 1.5; ctx.strokeStyle = colour(i === null ? "orange" : "ink");
+    if (i === null) { ctx.setLineDash([5, 3]); ctx.stroke(); ctx.restore(); return; }
+    ctx.fillStyle = colour("card"); ctx.fill(); ctx.stroke();
+    ctx.fillStyle = colour("pale-blue"); ctx.fillRect(scale * (front - 0.75), -broad * 0.36, scale * 0.45, broad * 0.72);
+    const wheel = (px, py, angle, name) => { ctx.save(); ctx.translate(px, py); ctx.rotate(-angle); ctx.fillStyle = colour(name); ctx.fillRect(-scale * 0.33, -scale * 0.11, scale * 0.66, scale * 0.22); ctx.restore(); };
+    const steer = this.fails("torque") ? "warn" : "ink", push = this.fails("force-difference") ? "warn" : "ink";
+    for (const side of [-1, 1]) {
+      wheel(scale * front, (side * scale * track) / 2, STEERING_SHOWN * data.steering[i], steer);
+      wheel(-scale * rear, (side * scale * track) / 2, 0, push);
+      const most = setting.limits[1] || 4000, size = (side * data.applied_2[i]) / most; // the right wheel pushes for a turn to the left
+      this.arrow(-scale * rear, (side * scale * track) / 2, 2.2 * scale * size, 0, "green");
+    }
+    ctx.beginPath(); ctx.arc(scale * front, 0, scale * 0.28, 0, 7); ctx.fillStyle = colour(steer === "warn" ? "warn" : "good"); ctx.fill();
+    if (steer === "warn") { const r = scale * 0.28; this.line([[scale * front - r, -r], [scale * front + r, r]], "paper", 2); this.line([[scale * front - r, r], [scale * front + r, -r]], "paper", 2); }
+    ctx.restore();
+  }
+
+  // An angle as a rod, and both inputs: the first at the pivot, the second at the tip.
+  angle(width, height, i) {
+    const { data, ctx } = this, long = height * 0.72, pivot = [width / 2, height - 14], words = this.inputs(i);
+    const tip = (angle) => [pivot[0] + long * Math.sin(angle), pivot[1] - long * Math.cos(angle)];
+    this.line([[pivot[0] - 60, pivot[1] + 6], [pivot[0] + 60, pivot[1] + 6]], "rule", 3);
+    this.line([pivot, tip(data.reference[i])], "soft", 2, [6, 5]);
+    const at = tip(data.output[i]), forces = this.shares(i), turn = data.output[i];
+    this.line([pivot, at], "blue", 8);
+    ctx.beginPath(); ctx.arc(...pivot, 9, 0, 7); ctx.fillStyle = colour(this.fails("torque") ? "warn" : "good"); ctx.fill();
+    this.arrow(...at, 80 * forces[1] * Math.cos(turn), 80 * forces[1] * Math.sin(turn), this.fails("force-difference") ? "warn" : "green");
+    this.arrow(pivot[0], pivot[1] - 16, 80 * forces[0], 0, this.fails("torque") ? "warn" : "green");
+    return words;
+  }
+
+  position(width, height, i) {
+    const { data, ctx } = this, most = 1.5 * Math.max(1e-9, ...data.reference.map(Math.abs)), forces = this.shares(i);
+    const x = (v) => width / 2 + (0.35 * width * v) / most, y = height * 0.62, [side, high] = [60, 40];
+    this.line([[width * 0.1, y + high / 2 + 3], [width * 0.9, y + high / 2 + 3]], "rule", 3);
+    this.line([[x(data.reference[i]), y - high], [x(data.reference[i]), y + high / 2]], "soft", 2, [6, 5]);
+    ctx.fillStyle = colour("blue"); ctx.fillRect(x(data.output[i]) - side / 2, y - high / 2, side, high);
+    ["torque", "force-difference"].forEach((name, n) => this.arrow(x(data.output[i]), y - high / 4 + (n * high) / 2, 120 * forces[n], 0, this.fails(name) ? "warn" : "green"));
+    return this.inputs(i);
+  }
+
+  // Both inputs as shares of the largest so far.
+  shares(i) {
+    return [1, 2].map((n) => {
+      const values = this.data[`applied_${n}`], largest = values.reduce((most, v) => Math.max(most, Math.abs(v || 0)), 1e-9);
+      return (values[i] || 0) / largest;
+    });
+  }
+
+  inputs(i) {
+    const { data, setting } = this, { names, units } = setting;
+    return [`${names[0]} ${shown(data.output[i])} ${units[0]}`, ...[1, 2].map((n) => `${names[n]} ${shown(data[`applied_${n}`][i])} ${units[n]}`)];
+  }
+}

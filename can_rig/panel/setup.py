@@ -1,0 +1,94 @@
+"""What the page needs before the first row: curves, charts, and faults with the plant's names."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any, Final
+
+import numpy as np
+
+from can_rig.drawing.names import HOW, Names, names_of, with_unit
+from can_rig.frames import operator_frames
+from can_rig.frames.network import Network
+from can_rig.results.curves import charts_of, curves_of
+from can_rig.results.motion import dead_of, setting_of
+from can_rig.scenario.fault_settings import CHANNELS, NUMBER, SENSOR
+from can_rig.scenario.reference import reference
+from can_rig.scenario.settings import Scenario
+
+MOVED_BY: Final = 2.0
+"""Largest shift of the reference, in amplitudes of the scenario's reference."""
+
+NUMBERS: Final = {
+    "left": ("share left, 0 to 1", ""),
+    "value": ("value", "{unit}"),
+    "offset": ("offset", "{unit}"),
+    "drift_per_s": ("drift", "{unit}/s"),
+    "amplitude": ("amplitude", "{unit}"),
+    "rate_per_s": ("rate", "{unit}/s"),
+    "late_ticks": ("delay", "ticks"),
+    "bias_mps2": ("bias", "{unit}"),
+    "gain": ("gain", ""),
+}
+"""Words and unit of each number of a fault."""
+
+
+def setup(scenario: Scenario, network: Network, confirm: float | None) -> dict[str, Any]:
+    """Curves, charts, faults and the range of the reference's shift, for JSON.
+
+    Args:
+        scenario: the run.
+        network: the frames.
+        confirm: the evidence that confirms a loss; None: the controller has no evidence.
+    """
+    names = names_of(scenario.plant)
+    curves, charts = curves_of(names, network, confirm), charts_of(names, confirm)
+    amplitude = float(np.nanmax(np.abs(reference(scenario)), initial=0.0)) or 1.0
+    return {
+        "curves": [asdict(curve) for curve in curves],
+        "charts": [asdict(chart) for chart in charts],
+        "confirm": confirm,
+        "places": _places(names),
+        "quick": _quick(names),
+        "moved_by": float(f"{MOVED_BY * amplitude:.2g}"),
+        "output": names.output._asdict(),
+        "scene": setting_of(scenario),
+        "dead": dead_of(scenario),
+    }
+
+
+def _places(names: Names) -> list[dict[str, Any]]:
+    """Every place that can fail, with the faults of the place."""
+    places = []
+    for place in operator_frames.places():
+        signal = names[(1, 2, 0)[(*CHANNELS, SENSOR).index(place)]]
+        own = "sensor-" if place == SENSOR else "actuator-"
+        kinds = []
+        for kind in operator_frames.kinds():
+            if kind.startswith((own, "frames-")):
+                words, unit = NUMBERS.get(NUMBER.get(kind, ""), (None, ""))
+                value = None if words is None else with_unit(words, unit.format(unit=signal.unit))
+                how = kind.removeprefix(own).replace("-", " ")
+                kinds.append({"kind": kind, "words": how, "value": value})
+        sensor = " sensor" if place == SENSOR else ""
+        places.append({"place": place, "words": f"{signal.name}{sensor}", "kinds": kinds})
+    return places
+
+
+def _quick(names: Names) -> list[dict[str, Any]]:
+    """The faults of one click."""
+    output, *commands = (signal.name for signal in names)
+    lost = HOW["actuator-dead"]
+    return [
+        *(
+            {"words": f"{name} {lost}", "kind": "actuator-dead", "place": place, "value": 0}
+            for name, place in zip(commands, CHANNELS, strict=True)
+        ),
+        {
+            "words": f"half of {commands[0]} {lost}",
+            "kind": "actuator-dead",
+            "place": CHANNELS[0],
+            "value": 0.5,
+        },
+        {"words": f"{output} sensor biased", "kind": "sensor-biased", "place": SENSOR},
+    ]

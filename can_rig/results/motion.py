@@ -1,0 +1,168 @@
+"""The path of a car over its road, and the paths of the same car without fault or compensation.
+
+Position and heading are integrated from speed, yaw rate and side slip as the plant reports them.
+The lane is the path of the car without faults, disturbances and noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from can_rig.drawing.names import fault_label, names_of
+from can_rig.errors import RigError
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.without_bus import run_without_bus
+from can_rig.results.counterfactual import applied_commands
+from can_rig.results.signals import Signals, signals_of_columns
+from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
+from firmware_model.law.structs import FloatArray
+
+YAW_RATE: Final = "yaw_rate_rad_per_s"
+SIDE_SLIP: Final = "side_slip_rad"
+STEERING: Final = "steering_angle_rad"
+
+MOST_TICKS: Final = 500_000
+"""Of a run that is repeated without fault and without compensation: eight minutes at 1 kHz."""
+
+ROWS_PER_S: Final = 50
+"""Rows of a scene: as many as a film needs."""
+
+
+class Track(NamedTuple):
+    """Where a car is, (ticks,) each: from the origin, x ahead, y to the left."""
+
+    x_m: FloatArray
+    y_m: FloatArray
+    heading_rad: FloatArray
+
+
+class Tracks(NamedTuple):
+    """The tracks of a run's car, and of the same car in other runs; None: unknown."""
+
+    driven: Track
+    lane: Track | None
+    without: Track | None
+    """Without compensation."""
+
+
+def track_of(scenario: Scenario, signals: Signals) -> Track | None:
+    """The track of a run's car; None: the plant reports no yaw rate or no side slip."""
+    reported = signals.plant
+    if YAW_RATE not in reported or SIDE_SLIP not in reported or not len(signals):
+        return None
+    tick_s = scenario.tick_s
+    speed = reported.get("speed_mps", np.full(len(signals), scenario.plant.speed_mps))
+    heading = _integral(np.nan_to_num(reported[YAW_RATE]), tick_s)
+    course = heading + np.nan_to_num(reported[SIDE_SLIP])
+    speed = np.nan_to_num(speed)
+    x_m, y_m = (_integral(speed * part(course), tick_s) for part in (np.cos, np.sin))
+    return Track(x_m, y_m, heading)
+
+
+def _integral(values: FloatArray, tick_s: float) -> FloatArray:
+    """(ticks,), the integral from the first tick on, by the trapezoidal rule."""
+    steps = 0.5 * tick_s * (values[1:] + values[:-1])
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def tracks(scenario: Scenario, signals: Signals) -> Tracks | None:
+    """The tracks of a run; None: the plant is no car that reports its motion.
+
+    Long runs, runs that need a bus and other controllers have the driven track alone.
+    """
+    driven = track_of(scenario, signals)
+    if driven is None:
+        return None
+    simple = scenario.controller.is_ours and network_of(scenario).is_the_rigs
+    begins = signals.time_s[0] < 0.5 * scenario.tick_s
+    if not simple or not begins or len(signals) > MOST_TICKS:
+        return Tracks(driven, None, None)
+    whole = replace(scenario, duration_s=len(signals) * scenario.tick_s)
+    lane = _track_of_run(replace(whole.undisturbed, disturbance=()))
+    off = replace(whole, design=replace(whole.design, compensation="off"))
+    needs_bus = any(fault.needs_a_bus for fault in scenario.faults)
+    hit = bool(scenario.faults or scenario.disturbances)
+    is_off = scenario.design.compensation == "off"
+    without = None if needs_bus or not hit or is_off else _track_of_run(off)
+    return Tracks(driven, lane, without)
+
+
+def _track_of_run(scenario: Scenario) -> Track | None:
+    """The track of another run; the recorded frames of that run are not kept."""
+    with TemporaryDirectory() as folder:
+        log = Path(folder) / "bus.log"
+        try:
+            columns = run_without_bus(scenario, log, StopRequest(), lambda _tick: None).columns
+        except RigError:  # a car that leaves its model
+            return None
+        assert columns is not None
+        return track_of(scenario, signals_of_columns(columns, scenario.tick_s, log))
+
+
+def scene(scenario: Scenario, signals: Signals) -> dict[str, Any] | None:
+    """The numbers of the drawing for ``scene.js``: a row for each 20 ms; None: nothing to draw.
+
+    A car has its tracks; another plant has the angle or the position that is its output.
+    """
+    if not len(signals):
+        return None
+    step = max(1, round(1.0 / (ROWS_PER_S * scenario.tick_s)))
+    applied_1, applied_2 = applied_commands(scenario, signals)
+    columns = {"time": signals.time_s, "applied_1": applied_1, "applied_2": applied_2}
+    found = tracks(scenario, signals) if scenario.plant.is_car or _moves(signals) else None
+    if found is not None:
+        columns["steering"] = signals.plant.get(STEERING, np.zeros(len(signals)))
+        for prefix, track in zip(("", "lane_", "without_"), found, strict=True):
+            if track is not None:
+                for name, values in track._asdict().items():
+                    columns[prefix + name.rpartition("_")[0]] = values
+    else:
+        columns |= {"output": signals.dstar_mps2, "reference": signals.reference_mps2}
+    setting = setting_of(scenario)
+    if setting is None or (found is None) == (setting["kind"] == "car"):
+        return None
+    return {
+        **setting,
+        "dead": dead_of(scenario),
+        "columns": {name: values[::step] for name, values in columns.items()},
+    }
+
+
+def _moves(signals: Signals) -> bool:
+    return YAW_RATE in signals.plant
+
+
+def setting_of(scenario: Scenario) -> dict[str, Any] | None:
+    """What ``scene.js`` draws: a car with its sizes, an angle, a position; None: another plant."""
+    plant, names = scenario.plant, names_of(scenario.plant)
+    limits = scenario.limits.torque_nm, scenario.limits.force_difference_n
+    common = {
+        "names": [each.name for each in names],
+        "units": [each.unit for each in names],
+        "limits": limits,
+    }
+    if plant.is_car or plant.is_own:
+        sizes = plant.front_axle_distance_m, plant.rear_axle_distance_m, plant.rear_track_m
+        return {"kind": "car", "sizes": sizes, "speed": plant.speed_mps, **common}
+    kind = {"rad": "angle", "m": "position"}.get(names.output.unit)
+    return None if kind is None else {"kind": kind, **common}
+
+
+def dead_of(scenario: Scenario) -> list[dict[str, Any]]:
+    """The failed parts: place, begin and end in s, and the fault in words."""
+    names = names_of(scenario.plant)
+    return [
+        {
+            "place": fault.place,
+            "begin": fault.at_s,
+            "end": None if fault.for_s is None else fault.at_s + fault.for_s,
+            "words": fault_label(fault, names),
+        }
+        for fault in scenario.faults
+    ]
