@@ -13,8 +13,8 @@ from can_rig.campaigns.plan import plan
 from can_rig.campaigns.settings import read_campaign
 from can_rig.plant.frameless import frameless
 from can_rig.plant.nonlinear_car import NonlinearCar
+from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import shipped
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import Trace
