@@ -30,7 +30,7 @@ struct controller_answer {
     double fault_estimate; /* what the fault takes from the output */
     int32_t mode;          /* 0 STANDBY, 1 RUN, 2 BLIND, 3 SAFE_STOP */
     int32_t fault_state;   /* 0 CLEAR, 1 SUSPECTED, 2 CONFIRMED, 3 CANNOT_TELL */
-    int32_t verdict;       /* 0 to 9, as Verdict of the DBC */
+    int32_t verdict;       /* 0 to 13, as Verdict of the DBC */
 };
 
 /* The version of this interface: 1. */

@@ -18,7 +18,7 @@ METHODS: Final = {
     "step": "step(inputs) -> (command_1, command_2) or Answer",
 }
 BLIND: Final = int(Mode.BLIND)
-CODES: Final = {"mode": 3, "fault_state": 3, "verdict": 9}
+CODES: Final = {"mode": 3, "fault_state": 3, "verdict": 13}
 """The largest code of each part of an answer."""
 
 

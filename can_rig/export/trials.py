@@ -33,6 +33,7 @@ from can_rig.frames.network import Network
 from firmware_model.firmware import PYTHON_LAW, Law
 from firmware_model.law.filters.whitener import WHITENER_SECTIONS
 from firmware_model.law.layout import precision_of, state_type, table_type
+from firmware_model.law.monitor import COMPENSATION_OFF, SWINGING
 from firmware_model.law.schedule import MAX_SPEEDS, Constants
 from firmware_model.law.schedule import State as BlendState
 from firmware_model.law.status import Verdict
@@ -213,6 +214,12 @@ def random_table(
     takeover = table.takeover
     takeover.enabled = random.integers(0, 2)
     takeover.listening, takeover.returning, takeover.lasting = np.sort(random.integers(1, 30, 3))
+    monitor = table.monitor
+    monitor.enabled = random.random() < 0.4
+    monitor.most_swings, monitor.patience = random.integers(1, 4, 2)
+    if random.random() < 0.8:  # commands within reach
+        monitor.limit_1 = monitor.limit_2 = monitor.slew_1 = monitor.slew_2 = np.inf
+        monitor.lag, monitor.forgetting, monitor.swing, monitor.astray = random.random(4)
     return tables
 
 
@@ -241,6 +248,7 @@ def random_state(
         state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
     state.mode, state.fault_state = random.integers(0, 4, 2)
     state.hypotheses.verdict = random.integers(0, len(Verdict))
+    state.monitor.reason = random.choice([0, 0, 0, 0, COMPENSATION_OFF, SWINGING])
     state.takeover.pending, state.takeover.active = random.integers(0, 3), random.integers(0, 2)
     state.takeover.elapsed = random.integers(0, 9)
     state.mismatch.covariance.variances[:] = abs(state.mismatch.covariance.variances)

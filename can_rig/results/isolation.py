@@ -126,6 +126,10 @@ _WORDS: Final = {
     Verdict.ANOTHER_CAR: "no fault, another plant than the model",
     Verdict.BOTH_LOST: "{command_1} and {command_2} lost",
     Verdict.CANNOT_BE_TOLD: "cannot be told",
+    Verdict.COMPENSATION_OFF: "monitor: the car swings, {command_2} taken away",
+    Verdict.SWINGING: "monitor: the car swings, both commands taken away",
+    Verdict.ASTRAY: "monitor: the commands drive the car astray, both taken away",
+    Verdict.BAD_COMMAND: "monitor: a command beyond its actuator, both taken away",
 }
 NO_FAULT: Final = (Verdict.NOTHING, Verdict.ANOTHER_CAR)
 """Verdicts of a healthy car."""

@@ -21,6 +21,7 @@ from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
 from firmware_model.design.mismatch import Mismatch, principal_mismatch
+from firmware_model.design.vehicle import GRAVITY_MPS2
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
@@ -262,6 +263,9 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         on_confirmation=chosen.compensation == "on-confirmation",
         safe_stop_s=chosen.safe_stop_s,
         blind_s=limits.blind_s,
+        monitor=limits.monitor,
+        doubt=scenario.budget.box,
+        motion_limit=scenario.model.friction * GRAVITY_MPS2 if scenario.model.is_car else math.inf,
         precision=chosen.precision,
     )
 

@@ -332,6 +332,7 @@ class LimitSettings:
     force_difference_n: PositiveFloat | None = None
     force_difference_rate_n_per_s: PositiveFloat | None = None
     blind_s: Moment = 1.0
+    monitor: bool = True
 
 
 @dataclass(frozen=True, config=STRICT)

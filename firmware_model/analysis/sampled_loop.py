@@ -341,5 +341,5 @@ def without_limits(table: Table, n: int) -> RecordArray:
         tables[actuator]["lsb"] = 0.0
     for name in ("confirm", "recover", "suspect"):
         tables["decision"][name] = math.inf
-    tables["reference_shaper"]["enabled"] = 0
+    tables["reference_shaper"]["enabled"] = tables["monitor"]["enabled"] = 0
     return tables

@@ -15,6 +15,7 @@ from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.factors import unstable
 from firmware_model.design.plants import Plant
 from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.monitor import widen_monitor
 from firmware_model.discretisation.paired import paired_alike, turn
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.tables import build
@@ -84,7 +85,7 @@ def schedule(designs: Sequence[AtSpeed]) -> Scheduled:
             gain = make_up_gain(filters[f"channel_{channel}"][k])
             made[f"make_up_{channel}"][k, : gain.size] = gain.ravel()
     _turn_states(made, designs, filters)
-    return Scheduled(made, _first(tables[0], filters))
+    return Scheduled(made, _first(tables, filters))
 
 
 def _filters(designs: Sequence[AtSpeed]) -> dict[str, list[Sections]]:
@@ -132,10 +133,11 @@ def _turn_states(
                 made[f"{prefix}turn_{channel + 1}"][k] = turn(before, after, channel, rule).ravel()
 
 
-def _first(table: Table, filters: dict[str, list[Sections]]) -> Table:
-    """``table`` with its coefficients in the sections of the schedule."""
-    tables = np.array([table], table.dtype)
+def _first(each: Sequence[Table], filters: dict[str, list[Sections]]) -> Table:
+    """The first of the tables with its coefficients in the sections of the schedule."""
+    tables = np.array(each[:1], each[0].dtype)
     own = tables[0]
+    widen_monitor(own.monitor, [table.monitor for table in each])
     places = {
         "tracking": own.tracking.filter,
         "channel_1": own.estimator.channel_1,

@@ -15,6 +15,7 @@ from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.mismatch import STEP
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.coprime import SampledFactors, sampled_factors, sampled_over
+from firmware_model.discretisation.monitor import fill_monitor
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.takeover import fill_takeover
 from firmware_model.discretisation.targets import Target
@@ -218,6 +219,7 @@ def build(design: ContinuousDesign, target: Target) -> Table:
     table.prediction.longest = math.ceil(target.blind_s / target.tick_s)
     if table.prediction.enabled and not table.estimator.measurement.n:
         fill_takeover(table.takeover, target, filters.estimator_1)
+    fill_monitor(table.monitor, design.plant, target)
     table.safe_stop.duration = math.ceil(target.safe_stop_s / target.tick_s)
     tables.flags.writeable = False
     made: Table = tables[0]

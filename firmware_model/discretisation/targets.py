@@ -41,6 +41,9 @@ class Target:
         safe_stop_s: time from the verdict "both actuators lost" to zero commands; 0: the commands
             go on.
         blind_s: longest time without an input; then the commands go to zero in the same time.
+        monitor: whether the monitor may take commands away.
+        doubt: motion of healthy cars beyond the reference, as a share of the reference.
+        motion_limit: largest motion that the tires can hold, in the measurement's unit.
         prewarp_rad_per_s: frequency at which C and F̂ keep their continuous response exactly.
         precision: of every number in the table and the state.
     """
@@ -65,6 +68,9 @@ class Target:
     on_confirmation: bool = False
     safe_stop_s: float = 0.0
     blind_s: float = 1.0
+    monitor: bool = True
+    doubt: float = 0.0
+    motion_limit: float = math.inf
     prewarp_rad_per_s: float | None = None
     precision: Precision = "float64"
 

@@ -92,6 +92,7 @@ from firmware_model.law.filters.tracking import (
     track_on,
 )
 from firmware_model.law.layout import precision_of, state_type
+from firmware_model.law.monitor import COMPENSATION_OFF, clear_monitor, watch
 from firmware_model.law.overflow import clear_memories
 from firmware_model.law.precision import real
 from firmware_model.law.reference_shaper import start, tracked_reference
@@ -171,6 +172,23 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
     else:
         go_on(table, state)
         state.mode = MODE_BLIND
+    take_away(table, state, r, y)
+
+
+@firmware
+def take_away(table: Table, state: State, r: float, y: float) -> None:
+    """Let the monitor have the last word on the commands; F1 follows what is left."""
+    own, estimator, latency = state.monitor, state.estimator, table.estimator.latency_ticks
+    left_1, left_2 = watch(table.monitor, own, r, y, state.command_1, state.command_2)
+    state.command_1, state.command_2 = left_1, left_2
+    if own.reason == 0:
+        return
+    state.hypotheses.verdict = own.reason
+    if own.reason > COMPENSATION_OFF:
+        state.mode = MODE_SAFE_STOP
+    if latency > 0:
+        newest = (estimator.delay_index + latency - 1) % latency
+        estimator.delay_1[newest], estimator.delay_2[newest] = left_1, left_2
 
 
 @firmware
@@ -360,6 +378,7 @@ def reset(table: Table, state: State, reference: float) -> None:
     clear_loss_model(state)
     start_candidate(table, state)
     clear_hypotheses(state)
+    clear_monitor(state.monitor)
     state.safe_stop.elapsed = state.standby.elapsed = 0.0
     state.standby.slow = 0
     state.shortfall_1.accumulators[:] = 0.0

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from firmware_model.law import actuator, standby, status, takeover
+from firmware_model.law import actuator, monitor, standby, status, takeover
 from firmware_model.law.fault_decision import (
     likelihood_ratio,
 )
@@ -106,6 +106,7 @@ class Table(Struct):
     safe_stop: Annotated[SafeStopConstants, "1", "where both actuators are lost"]
     prediction: Annotated[PredictionConstants, "1", "in place of a missing measurement"]
     takeover: Annotated[takeover.Constants, "1", "of a moving plant"]
+    monitor: Annotated[monitor.Constants, "1", "independent bounds on commands and motion"]
 
 
 class State(status.State):
@@ -130,6 +131,7 @@ class State(status.State):
     prediction: Annotated[PredictionState, "1", "in place of a missing measurement"]
     standby: Annotated[standby.State, "1", "of a car slower than the lowest design"]
     takeover: Annotated[takeover.State, "1", "of a moving plant"]
+    monitor: Annotated[monitor.State, "1", "what has been taken away"]
 
 
 def table_type(precision: Precision = "float64") -> np.dtype[np.void]:

@@ -60,6 +60,14 @@ class Verdict(IntEnum):
     """Channel 2 is lost after channel 1."""
     CANNOT_BE_TOLD = 9
     """There is a fault, and more than one hypothesis that explains it."""
+    COMPENSATION_OFF = 10
+    """The monitor has taken the force difference away: the car swung."""
+    SWINGING = 11
+    """The monitor has taken both commands away: the car swung without the force difference too."""
+    ASTRAY = 12
+    """The monitor has taken both commands away: they drove the car far from the reference."""
+    BAD_COMMAND = 13
+    """The monitor has taken both commands away: a command was beyond the actuator's abilities."""
 
 
 class State(Struct):

@@ -51,7 +51,7 @@ def test_a_status_frame_without_a_verdict_has_all_bits_for_the_estimate(tmp_path
     ("old", "new", "said"),
     [
         ("Verdict : 32|4@1+", "Verdict : 32|3@1+", "signal Verdict is unsigned Intel, 3 bits"),
-        ('8 "BOTH_LOST" ', "", "signal Verdict must have a value table of 0 to 9"),
+        ('8 "BOTH_LOST" ', "", "signal Verdict must have a value table of 0 to 13"),
         ("36|28@1- (2E", "36|27@1- (2E", "it must be signed Intel, 28 bits at bit 36"),
     ],
 )

@@ -82,7 +82,8 @@ OTHER = {
     "plant.sensor.corner_hz": 18.0, "plant.sensor.dead_time_s": 0.002,
     "limits.torque_nm": 100.0,
     "limits.force_difference_n": 200.0, "limits.torque_rate_nm_per_s": 300.0,
-    "limits.force_difference_rate_n_per_s": 4e3, "limits.blind_s": 0.5, "actuator.hold_s": 0.03,
+    "limits.force_difference_rate_n_per_s": 4e3, "limits.blind_s": 0.5, "limits.monitor": False,
+    "actuator.hold_s": 0.03,
     "bus.bitrate": 500000, "bus.compute_s": 0.0001,
     "description": "words",
 }  # fmt: skip
