@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from can_rig.errors import LogError
 from can_rig.results.motion import scene
@@ -58,7 +58,8 @@ def test_a_gif_has_a_picture_for_each_time(drawn, tmp_path):
     path = tmp_path / "x.gif"
     write_film(path, ".gif", pictures(drawn, 0.5, 2.5, 10.0, 2.0), 10.0)
     with Image.open(path) as film:
-        assert (film.n_frames, film.size) == (11, (WIDTH, HEIGHT))
+        assert len([*ImageSequence.Iterator(film)]) == 11
+        assert film.size == (WIDTH, HEIGHT)
         assert film.info["duration"] == 100
 
 
@@ -108,7 +109,7 @@ def test_the_command_writes_a_film_of_a_run_folder(tmp_path):
     done = asked("film", "run", "--out", "x.gif", "--to", 0.2)
     assert (done.returncode, done.stdout) == (0, "film in x.gif\n")
     with Image.open("x.gif") as film:
-        assert film.n_frames == 3
+        assert len([*ImageSequence.Iterator(film)]) == 3
     again = asked("film", "run", "--out", "x.gif")
     assert again.returncode == 2
     assert "exists; choose" in again.stderr
