@@ -32,6 +32,8 @@ COMMANDS: Final = {
     "stats": ("stats", "Summarise LOG: identifiers, rates, jitter, gaps, bus load."),
     "replay": ("replay", "Feed LOG to today's controller, and compare the answers."),
     "plot": ("plot", "Draw SIGNALs of LOG."),
+    "view": ("view", "Show a run or LOG in a browser: every signal, the plant in motion."),
+    "film": ("film", "Draw RUN as a film: the car on its lane, or another plant."),
     "diff": ("diff", "Compare two runs, signal by signal."),
     "compare": ("compare", "Compare several controllers in the same cases."),
 }

@@ -81,6 +81,15 @@ _UNITS: Final = {  # by the last word of a column, or by the words around "per"
 }  # fmt: skip
 
 
+def in_words(column: str) -> tuple[str, str]:
+    """The name of a column or a metric without its unit, and the unit; "" without a unit."""
+    unit, words = unit_of(column), column.split("_")
+    if unit:
+        over = 3 if "per" in words[-2:-1] and words[-1] != "hour" else 1
+        words = words[: -2 if words[-1] == "hour" else -over]
+    return " ".join(words), unit
+
+
 def unit_of(column: str) -> str:
     """The unit of a column by the suffix of its name; "" without a unit."""
     *before, last = column.split("_")

@@ -78,7 +78,7 @@ def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
     ticks = first + len(signals)
     if ticks > scenario.ticks:
         scenario = replace(scenario, duration_s=ticks * scenario.tick_s)
-    if ticks > paged.PAGED_ROWS:
+    if scenario.ticks > paged.PAGED_ROWS:
         return Counterfactual(*(values[first:ticks] for values in _long(scenario)))
     loop = loop_of(scenario)
     loop.run(first + rows)

@@ -16,8 +16,10 @@ from can_rig.frames.network import Network
 from can_rig.logs.frames import ALL, Frames, Log, Window
 from can_rig.logs.reading import read_log
 from can_rig.nodes.operating import done, touches
-from can_rig.results.run_folder import LOG, log_of, recorded_scenario
+from can_rig.results.isolation import with_verdict
+from can_rig.results.run_folder import LOG, REFERENCE, log_of, recorded_scenario
 from can_rig.results.signals import Signals, read_signals
+from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 
 Reading = Callable[[Log], Iterator[Frames]]
@@ -118,6 +120,23 @@ def log_path(path: Path) -> Path:
     if not path.exists():
         raise LogError(f"{path}: there is no such file")
     return path
+
+
+def read_run(folder: Path) -> tuple[Scenario, Network, Signals]:
+    """A run: its scenario with the commands given during the run, its frames, its signals.
+
+    Raises:
+        LogError: not a run folder, or a log that cannot be read.
+        ScenarioError: no readable scenario.
+    """
+    source = source_of(folder, None, ())
+    network = network_of(source.scenario)
+    scenario = done(source.scenario, touches(source.frames(), network)).scenario
+    moved = folder / REFERENCE
+    if moved.is_file():
+        scenario = replace(scenario, reference=ReferenceSettings(kind="csv", file=str(moved)))
+    signals = read_signals(log_of(folder), network, scenario.tick_s, source.in_time_ticks)
+    return scenario, network, with_verdict(scenario, network, signals)
 
 
 def happened(log: Path, scenario: Scenario, network: Network, own_reference: Path) -> Scenario:

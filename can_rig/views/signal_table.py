@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from can_rig import paged
 from can_rig.assessment.resolve import load_run
-from can_rig.drawing.names import CAR, Names, column_names, names_of, unit_of
+from can_rig.drawing.names import CAR, Names, column_names, in_words, names_of
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.columns import APPLIED, EVIDENCE_OF, ON_THE_BUS, TRUE_OUTPUT, VERDICT
 from can_rig.logs.compression import open_text, stored
@@ -75,7 +75,7 @@ class SignalTable:
 
     def name_and_unit(self, column: str) -> tuple[str, str]:
         """Printed name and unit of a column; "" without a unit."""
-        other = column.replace("_", " "), unit_of(column)
+        other = in_words(column)
         if self.scenario is None:
             return COLUMNS_OF_CAR.get(column, other)
         printed = _columns(names_of(self.scenario.plant))

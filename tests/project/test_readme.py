@@ -45,5 +45,10 @@ def test_the_files_of_a_run_folder_are_named() -> None:
 
 def test_the_pictures_are_there() -> None:
     pictures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", README)
-    assert pictures == ["docs/run.png", "docs/architecture.svg", "docs/campaign.png"]
+    assert pictures == [
+        "docs/film.gif",
+        "docs/architecture.svg",
+        "docs/run.png",
+        "docs/campaign.png",
+    ]
     assert all((ROOT / picture).is_file() for picture in pictures)

@@ -31,7 +31,23 @@ class Charts {
     this.charts = charts.map((each) => ({ ...each, keys: [...each.keys] }));
     this.add.replaceChildren(new Option("add a chart …", ""), ...curves.map((c) => new Option(c.label, c.key)));
     [this.range, this.pin, this.at] = [null, null, null];
+    this.listed = this.list ? this.showList(curves) : [];
     this.remake();
+  }
+
+  // The list of signals: those of a message together; a click adds a chart.
+  showList(curves) {
+    const groups = new Map(), values = [];
+    for (const { key, label } of curves) {
+      const [group, name] = label.includes(".") ? label.split(/\.(.*)/) : ["signals", label];
+      const value = element("output"), button = element("button", { className: "key", title: `add a chart of ${label}` }, name, value);
+      button.onclick = () => this.addChart(key);
+      if (!groups.has(group)) groups.set(group, element("details", { open: true }, element("summary", { textContent: group })));
+      groups.get(group).append(button);
+      values.push([key, value]);
+    }
+    this.list.replaceChildren(...groups.values());
+    return values;
   }
 
   addChart(key) {
@@ -77,14 +93,16 @@ class Charts {
     for (const { chart, values } of this.plots) {
       chart.keys.forEach((key, i) => {
         const v = (this.data[key] || [])[at], p = pin === null ? null : (this.data[key] || [])[pin];
-        const { words } = this.curves[key];
-        values[i].textContent = words && v !== null && v !== undefined ? words[v] || v : shown(v) + (pin === null || v === null || p === null ? "" : ` (Δ ${shown(v - p)})`);
+        values[i].textContent = this.said(key, v) + (pin === null || v === null || p === null ? "" : ` (Δ ${shown(v - p)})`);
       });
     }
+    for (const [key, value] of this.listed) value.textContent = this.said(key, (this.data[key] || [])[at]);
     const t = (s) => `${s.toFixed(3)} s`;
     const here = last < 0 ? "" : this.at === null ? `last values, at ${t(time[last])}` : `values at ${t(time[at])}`;
     this.time.textContent = here + (pin === null || last < 0 ? "" : `, ${t(time[at] - time[pin])} after the mark`);
   }
+
+  said(key, v) { const { words } = this.curves[key]; return words && words[v] !== undefined ? words[v] : shown(v); }
 
   index(time_s) {
     const time = this.data.time || [];
@@ -237,7 +255,11 @@ class Charts {
 }
 
 // Axes with a number for each decade, and for some values on both sides of zero.
-const decades = (u, splits) => splits.map((v) => (v !== null && Math.abs(Math.log10(v) % 1) < 1e-6 ? v : null));
+const decades = (u, splits) => {
+  const exponents = splits.map((v) => (v === null ? NaN : Math.log10(v))), whole = exponents.filter((e) => Math.abs(e - Math.round(e)) < 1e-6);
+  const every = Math.ceil((18 * whole.length * devicePixelRatio) / u.bbox.height) || 1;
+  return splits.map((v, i) => (Math.abs(exponents[i] - Math.round(exponents[i])) < 1e-6 && Math.round(exponents[i]) % every === 0 ? v : null));
+};
 const DECADES = { filter: decades, ticks: { filter: decades, stroke: "#8888" }, grid: { filter: decades }, values: (u, splits) => splits.map((v) => (v === null ? "" : v.toExponential(0))) };
 const STEPS = [-1e6, -1e4, -100, 0, 100, 1e4, 1e6, 1e8, 1e10, 1e12];
 const ASINH = {

@@ -49,7 +49,7 @@ function player(charts, scene, moving) {
 
 async function draw() {
   const data = await columns(run), charts = new Charts(by("charts"), by("bar"), { height: run.height });
-  charts.shades = run.shades; charts.marks = run.marks; charts.spanGaps = run.span_gaps;
+  charts.shades = run.shades; charts.marks = run.marks; charts.spanGaps = run.span_gaps; charts.list = by("list");
   charts.describe(run.curves, run.charts);
   charts.setData(data);
   let scene = null, moving = data;

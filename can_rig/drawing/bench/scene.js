@@ -1,7 +1,7 @@
 // The plant in motion: a car on its road from above, an angle, a position. Data as `results.motion`.
 "use strict";
 
-const LANE_M = 3.5, BEHIND_M = 14, AHEAD_M = 36, STEERING_SHOWN = 5, TEXT_WIDTH = 270;
+const LANE_M = 3.5, BEHIND_M = 14, AHEAD_M = 36, STEERING_SHOWN = 5, TEXT_WIDTH = 320;
 
 class Scene {
   constructor(canvas) {

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
 
 from can_rig import paged
 from can_rig.assessment.limitations import control_authority
@@ -92,6 +93,9 @@ def _car(plant: PlantSettings) -> str:
 HEIGHT_IN, HEIGHT_WITH_TIMING_IN, TIMING_IN = 10.6, 11.4, 1.8
 LEFT_IN, RIGHT_IN, BOTTOM_IN, TITLE_LINE_IN, LABEL_IN = 1.2, 0.2, 0.5, 0.19, 0.6
 """Fixed margins: automatic margins would draw the page twice."""
+ZOOM_LABEL_IN: Final = 0.4
+BEFORE_S, AFTER_S = 0.05, 0.25
+"""Time around the begin of the fault that is drawn beside the whole run."""
 
 
 def draw_report(
@@ -113,29 +117,34 @@ def page(
 ) -> Figure:
     """Five panels over one time axis, the loss shaded, readable in grey print.
 
+    Beside the whole run stand the 0.3 s around the begin of the first fault, with own scales.
+
     A closed loop shows r, D* and |r - D*|. An open loop shows D*, D* of the same run without the
     fault, and their distance. From the loss on, a thin line is D* of the same run without
     compensation, and the panel of the lost channel shows the applied command beside the sent
     command. A changing speed is drawn beside the estimate. A real-time run has a sixth panel:
     wake-up lateness of the plant node and answer times.
     """
-    names, time_s = names_of(scenario.plant), signals.time_s
+    names = names_of(scenario.plant)
     title = page_title(scenario, names, signals)
     title_in = TITLE_LINE_IN * (1 + title.count("\n"))
-    figure = _empty_page(title_in, timed=bool(realtime))
+    near = around_the_fault(scenario, signals)
+    figure = _empty_page(title_in, bool(realtime), near is not None)
     figure.suptitle(title, fontsize=11, y=1.0 - 0.08 / figure.get_figheight())
-    axes = list(figure.axes[:5])
+    axes, beside = list(figure.axes[:5]), list(figure.axes[-5:])
     if realtime:
         draw_timing(figure.axes[5], scenario.tick_s, realtime)
-    beside, label, distance = compared_with(scenario, signals)
-    for axis in axes:
-        style.ruled(axis)
-    _time_axis(axes, scenario, signals)
-    _output(axes[0], scenario, names, signals, (beside, label))
-    _distance(axes[1], time_s, apart(beside, signals), network.feedback.lsb)
-    _commands(axes[2:4], scenario, network, signals)
-    _estimate(axes[4], signals)
+    distance = _column(axes, scenario, network, signals)
     _speed(axes[4], signals)
+    if near is not None:
+        _column(beside, scenario, network, signals[near])
+        for axis in beside:
+            axis.yaxis.tick_right()
+            axis.tick_params(axis="y", labelsize=8)
+            legend = axis.get_legend()
+            for text in (*axis.texts, *([] if legend is None else [legend])):
+                text.remove()  # the panel at the left has the same
+        beside[4].set_xlabel("around the fault, time in s")
     output, *commands = names
     for axis, name, unit in zip(
         axes,
@@ -146,48 +155,101 @@ def page(
     ):  # fmt: skip
         axis.set_ylabel(style.labelled(name, unit), fontsize=9)
     axes[4].set_xlabel("time in s")
-    _mark_loss(axes, scenario, names)
     figure.align_ylabels(axes)
     return figure
 
 
-def _empty_page(title_in: float, timed: bool) -> Figure:
-    """Five panels over one time axis below the title, and a panel for the timing at the bottom."""
+def around_the_fault(scenario: Scenario, signals: Signals) -> slice | None:
+    """The ticks around the begin of the first fault within the run; None without a fault."""
+    begins = [fault.at_s for fault in scenario.faults]
+    if not begins or not len(signals) or not signals.time_s[0] <= min(begins) < signals.time_s[-1]:
+        return None
+    first, last = np.searchsorted(signals.time_s, [min(begins) - BEFORE_S, min(begins) + AFTER_S])
+    return slice(int(first), int(last))
+
+
+def _column(axes: list[Axes], scenario: Scenario, network: Network, signals: Signals) -> str:
+    """Draw the five panels of ``signals``; return the name of the second."""
+    names = names_of(scenario.plant)
+    beside, label, distance = compared_with(scenario, signals)
+    for axis in axes:
+        style.ruled(axis)
+    _time_axis(axes, scenario, signals)
+    _output(axes[0], scenario, names, signals, (beside, label))
+    size = apart(beside, signals, scenario.tick_s)
+    _distance(axes[1], signals.time_s, size, network.feedback.lsb)
+    _commands(axes[2:4], scenario, network, signals)
+    _estimate(axes[4], signals)
+    _mark_loss(axes, scenario, names)
+    return distance
+
+
+def _empty_page(title_in: float, timed: bool, zoomed: bool) -> Figure:
+    """Five panels over one time axis below the title; a panel for the timing; five beside."""
     height_in, timing_in = (HEIGHT_WITH_TIMING_IN, TIMING_IN) if timed else (HEIGHT_IN, 0.0)
     figure = style.page(height_in, constrained=False)
     margins = {"left": LEFT_IN / style.A4_WIDTH_IN, "right": 1.0 - RIGHT_IN / style.A4_WIDTH_IN}
-    figure.subplots(
+    if zoomed:
+        margins["right"] -= ZOOM_LABEL_IN / style.A4_WIDTH_IN
+    grid = figure.add_gridspec(
         5,
-        1,
-        sharex=True,
-        gridspec_kw={
-            **margins,
-            "height_ratios": (1.25, 1, 1, 1, 1),
-            "top": 1.0 - (title_in + LABEL_IN) / height_in,
-            "bottom": (BOTTOM_IN + timing_in) / height_in,
-            "hspace": 0.2,
-        },
+        2 if zoomed else 1,
+        **margins,
+        height_ratios=(1.25, 1, 1, 1, 1),
+        width_ratios=(2, 1) if zoomed else (1,),
+        top=1.0 - (title_in + LABEL_IN) / height_in,
+        bottom=(BOTTOM_IN + timing_in) / height_in,
+        hspace=0.2,
+        wspace=0.06,
     )
+    _shared(figure, grid, 0)
     if timed:
         top = (timing_in - LABEL_IN / 2.0) / height_in
-        grid = figure.add_gridspec(1, 1, **margins, top=top, bottom=BOTTOM_IN / height_in)
-        figure.add_subplot(grid[0])
+        timing = figure.add_gridspec(1, 1, **margins, top=top, bottom=BOTTOM_IN / height_in)
+        figure.add_subplot(timing[0])
+    if zoomed:
+        _shared(figure, grid, 1)
     return figure
 
 
+def _shared(figure: Figure, grid: GridSpec, column: int) -> None:
+    """Five panels over one time axis."""
+    first = figure.add_subplot(grid[0, column])
+    panels = [first, *(figure.add_subplot(grid[row, column], sharex=first) for row in range(1, 5))]
+    for axis in panels[:-1]:
+        axis.tick_params(labelbottom=False)
+
+
 def compared_with(scenario: Scenario, signals: Signals) -> tuple[FloatArray, str, str]:
-    """The curve drawn beside D*, its name, and the name of the distance from D*."""
+    """The curve drawn beside D*, its name, and the name of the rms distance from D*."""
     if scenario.design.feedback:
-        return signals.reference_mps2, "reference", "|error|"
-    return fault_free(scenario, signals).dstar_mps2, "without the fault", "|deviation|"
+        return signals.reference_mps2, "reference", "error, rms"
+    return fault_free(scenario, signals).dstar_mps2, "without the fault", "deviation, rms"
 
 
-def apart(beside: FloatArray, signals: Signals) -> FloatArray:
-    """(ticks,), the distance of D* from the curve drawn beside D*."""
-    with np.errstate(over="ignore", invalid="ignore"):  # a loop that diverges
-        return paged.column(
-            len(signals), lambda rows: np.abs(beside[rows] - signals.dstar_mps2[rows])
-        )
+RMS_S: Final = 0.05
+"""Time over which the rms of a distance is taken: longer than noise, shorter than a reaction."""
+
+
+AT_ONCE: Final = 4096
+"""Ticks whose rms is computed at once."""
+
+
+def apart(beside: FloatArray, signals: Signals, tick_s: float) -> FloatArray:
+    """(ticks,), the rms of the distance over the last ``RMS_S``; nan without a known tick."""
+    ticks, found = max(1, round(RMS_S / tick_s)), paged.empty(len(signals))
+    for begin in range(0, len(signals), AT_ONCE):
+        some = slice(max(begin - ticks, 0), min(begin + AT_ONCE, len(signals)))
+        with np.errstate(over="ignore", invalid="ignore"):  # a loop that diverges
+            square = np.square(beside[some] - signals.dstar_mps2[some])
+            known = np.isfinite(square)
+            total = np.cumsum(np.where(known, square, 0.0))
+            total[ticks:] -= total[:-ticks].copy()
+            count = np.cumsum(known)
+            count[ticks:] -= count[:-ticks].copy()
+            rms = np.sqrt(np.maximum(total, 0.0) / np.where(count, count, np.nan))
+        found[begin : some.stop] = rms[begin - some.start :]
+    return found
 
 
 def _output_name(scenario: Scenario, names: Names) -> str:
@@ -232,8 +294,10 @@ def counterpart(
 
 
 def _distance(axis: Axes, time_s: FloatArray, values: FloatArray, floor: float) -> None:
-    """Magnitudes in decades, from the resolution of the frame on."""
+    """Magnitudes in decades, from the least on, at least the resolution of the frame."""
     time_s, size = thinned(time_s, values)
+    if np.isfinite(size).any():
+        floor = max(floor, 0.3 * float(np.nanmin(size)))
     size = np.maximum(size, floor)
     with np.errstate(over="ignore", invalid="ignore"):
         axis.plot(time_s, size, color=style.BLUE, lw=0.8)

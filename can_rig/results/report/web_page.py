@@ -16,7 +16,8 @@ from can_rig import paged
 from can_rig.drawing.bench import Chart, Curve, Recording, recorded
 from can_rig.drawing.bench import style as bench_style
 from can_rig.drawing.html import Code, page, table
-from can_rig.drawing.names import CAR, Names, disturbance_label, fault_label, names_of, unit_of
+from can_rig.drawing.names import CAR, Names, disturbance_label, fault_label, names_of
+from can_rig.drawing.names import in_words as parted
 from can_rig.drawing.style import FAR
 from can_rig.frames.network import Network
 from can_rig.logs.columns import SPEED, TRUE_OUTPUT, VERDICT
@@ -55,7 +56,7 @@ def panels(scenario: Scenario, network: Network, signals: Signals) -> list[Panel
         "error": [
             (
                 Curve("distance", distance, unit, "blue", 0.8),
-                np.maximum(apart(beside, signals), network.feedback.lsb),
+                np.maximum(apart(beside, signals, scenario.tick_s), network.feedback.lsb),
             )
         ],
     }
@@ -227,12 +228,9 @@ def _in_units(
     """Name, value, unit of the plant, and key of each metric."""
     own = {of_car.unit: signal.unit for of_car, signal in zip(CAR, names, strict=True)}
     for key, value in values:
-        unit, words = unit_of(key), key.split("_")
-        if unit:
-            over = 3 if "per" in words[-2:-1] and words[-1] != "hour" else 1
-            words = words[: -2 if words[-1] == "hour" else -over]
+        words, unit = parted(key)
         shown = in_words(Verdict[value], names) if key == "verdict" else _words(value)
-        yield " ".join(words), shown, own.get(unit, unit), Code(key)
+        yield words, shown, own.get(unit, unit), Code(key)
 
 
 def _words(value: Any) -> Any:

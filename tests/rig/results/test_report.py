@@ -45,7 +45,7 @@ def test_title_and_units_say_what_was_run(tmp_path: Path) -> None:
     assert "tick 1 ms, latency 0 ticks" in title
     labels = [axis.get_ylabel() for axis in page.axes]
     assert labels[0] == "D*\nin m/s²"
-    assert labels[1] == "|error|\nin m/s²"
+    assert labels[1] == "error, rms\nin m/s²"
     assert labels[2:4] == ["steering torque\nin N m", "rear force difference\nin N"]
 
 
@@ -88,7 +88,7 @@ def test_a_spike_is_off_the_scale_and_said_to_be(tmp_path: Path) -> None:
 
 def test_an_open_loop_shows_its_deviation_and_not_an_error(tmp_path: Path) -> None:
     output, deviation, *_ = drawn(tmp_path, "chapter-2").axes
-    assert deviation.get_ylabel() == "|deviation|"
+    assert deviation.get_ylabel() == "deviation, rms"
     assert [line.get_label() for line in output.lines[:3]] == [
         "output y",
         "without the fault",

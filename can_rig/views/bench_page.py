@@ -1,0 +1,137 @@
+"""A page that shows a run or a log: every signal, charts added and removed, the plant in motion."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from can_rig.decoding.message_decoder import MessageColumns
+from can_rig.drawing import bench
+from can_rig.drawing.bench import Chart, Curve, Recording, recorded
+from can_rig.drawing.html import page
+from can_rig.drawing.names import names_of, printed
+from can_rig.frames.network import Network
+from can_rig.logs.columns import APPLIED, EVIDENCE, SPEED, TRUE_OUTPUT
+from can_rig.results.curves import curves_of
+from can_rig.results.report.page import page_title
+from can_rig.results.report.web_page import recording
+from can_rig.results.signals import Signals
+from can_rig.scenario.settings import Scenario
+from can_rig.views.pictures import curve as curve_of
+from can_rig.views.signal_table import table_of
+from firmware_model.law.structs import FloatArray
+
+AT_FIRST: Final = 4
+"""Charts of a log at the beginning."""
+
+PROTECTION: Final = ("Checksum", "AliveCounter", "Tick")
+"""Signals that are not shown at the beginning."""
+
+SHOWN: Final = (TRUE_OUTPUT, SPEED, *APPLIED)
+"""Reports of the plant that the charts of the report have already."""
+
+COLOURS: Final = ("blue", "orange", "green", "violet", "gold", "pink", "grey")
+
+
+def page_of_run(scenario: Scenario, network: Network, signals: Signals) -> str:
+    """The page of a run: the charts of its report, and further signals to choose from."""
+    names = names_of(scenario.plant)
+    of, shown = recording(scenario, network, signals), table_of(signals, "", scenario)
+    of.height = 0
+    of.charts[:] = [chart for chart in of.charts if len(of.charts) < 6 or not _of_state(of, chart)]
+    looks = {each.key: each for each in curves_of(names, network, 0.0)}
+    for key in EVIDENCE:
+        if key in signals.whose_fault:
+            look = replace(looks[key], label=f"evidence: {looks[key].label}")
+            of.curves.append((look, signals.whose_fault[key]))
+    for name, values in {**signals.plant, **signals.sensors}.items():
+        label, unit = shown.name_and_unit(name)
+        if name not in SHOWN:
+            of.curves.append((Curve(name, label, unit, COLOURS[len(of.curves) % 7]), values))
+    return _page(page_title(scenario, names, signals).split("\n")[0], of)
+
+
+def _of_state(of: Recording, chart: Chart) -> bool:
+    return any(each.key == chart.keys[0] and each.words for each, _ in of.curves)
+
+
+def page_of_log(path: Path, messages: Mapping[str, MessageColumns], start_ns: int) -> str:
+    """The page of a log: its signals by message, at times from the log's start.
+
+    Args:
+        path: the log.
+        messages: decoded columns by name.
+        start_ns: when the recording began.
+    """
+    pairs = [(name, signal) for name, columns in messages.items() for signal in columns.signals]
+    drawn = [curve_of(messages[name], signal, start_ns) for name, signal in pairs]
+    some = [at for at, (time_s, _) in enumerate(drawn) if len(time_s)]
+    time_s, columns = on_one_axis([drawn[at] for at in some])
+    curves = []
+    for at, values in zip(some, columns, strict=True):
+        name, signal = pairs[at]
+        layout = messages[name].layout[signal]
+        words = dict(layout.choices) if layout.is_enumeration else None
+        unit = printed(layout.unit or "")
+        look = Curve(f"{name}.{signal}", f"{name}.{signal}", unit, COLOURS[at % 7], words=words)
+        curves.append((look, values))
+    first = [each for each, _ in curves if each.key.partition(".")[2] not in PROTECTION]
+    charts = [Chart(each.label, (each.key,)) for each in first[:AT_FIRST]]
+    return _page(path.name, Recording(time_s, curves, charts, span_gaps=True))
+
+
+def on_one_axis(
+    curves: Sequence[tuple[FloatArray, FloatArray]],
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Curves with times of their own at common times, without losing a peak.
+
+    The time is cut into equal parts. Each part has two times: the first has the least or the
+    greatest value of a curve in the part, the second has the other; nan without a value.
+
+    Args:
+        curves: time and values of each, (n,) ascending; n is at least one.
+    """
+    if not curves:
+        return np.empty(0), []
+    begin = min(float(time_s[0]) for time_s, _ in curves)
+    end = max(float(time_s[-1]) for time_s, _ in curves)
+    parts = min(bench.MOST_POINTS // 2, sum(len(time_s) for time_s, _ in curves))
+    width = (end - begin) / parts or 1.0
+    columns = []
+    for time_s, values in curves:
+        part = np.minimum(((time_s - begin) / width).astype(np.int64), parts - 1)
+        starts = np.flatnonzero(np.diff(part, prepend=-1))
+        ends = np.append(starts[1:], len(part)) - 1
+        least, greatest = (f.reduceat(values, starts) for f in (np.fmin, np.fmax))
+        rising = values[starts] <= values[ends]
+        column = np.full((parts, 2), np.nan)
+        column[part[starts], 0] = np.where(rising, least, greatest)
+        column[part[starts], 1] = np.where(
+            starts == ends, np.nan, np.where(rising, greatest, least)
+        )
+        columns.append(column.ravel())
+    known = np.isfinite(np.stack(columns)).any(axis=0)
+    times = begin + 0.5 * width * np.arange(2 * parts)
+    return times[known], [column[known] for column in columns]
+
+
+def _page(title: str, of: Recording) -> str:
+    canvas, *parts = recorded(of)
+    scripts = parts[-1 - len(bench.SCRIPTS) :]
+    view = "".join([canvas, *parts[: -1 - len(scripts)]])
+    return page(
+        title,
+        [
+            f"<main><h1>{html.escape(title)}</h1>",
+            '<nav id="list" aria-label="signals"></nav>',
+            f'<section id="view">{view}</section>',
+            f'<section id="events">{parts[-1 - len(scripts)]}</section></main>',
+            *scripts,
+        ],
+        bench.style() + bench.text("view.css"),
+    )

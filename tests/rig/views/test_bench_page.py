@@ -1,0 +1,107 @@
+"""The page of a run or a log: every signal, no peak lost, in a browser."""
+
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from playwright.sync_api import expect, sync_playwright
+
+from can_rig.views.bench_page import on_one_axis
+from tests.helpers import asked
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
+TIME_S = st.integers(0, 9000).map(lambda ms: ms / 1000)
+CURVE = st.lists(st.tuples(TIME_S, st.floats(-1e6, 1e6)), min_size=1, max_size=60)
+
+
+@given(st.lists(CURVE, min_size=1, max_size=3), st.integers(4, 50))
+def test_a_common_axis_keeps_the_extremes_of_each_part_and_invents_nothing(curves, points):
+    made = [np.array(sorted(curve)).T for curve in curves]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("can_rig.drawing.bench.MOST_POINTS", points)
+        time_s, columns = on_one_axis([(t, v) for t, v in made])
+    assert len(time_s) <= points
+    assert (np.diff(time_s) > 0.0).all()
+    parts = min(points // 2, sum(len(t) for t, _ in made))
+    width = (max(t[-1] for t, _ in made) - min(t[0] for t, _ in made)) or parts
+    for (times, values), column in zip(made, columns, strict=True):
+        known = np.isfinite(column)
+        assert {values.min(), values.max()} <= set(column[known])
+        for at, value in zip(time_s[known], column[known], strict=True):
+            assert value in values[np.abs(times - at) <= 1.001 * width / parts + 1e-9]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("view")
+    settings = "--set", "duration_s=1.5", "--set", "fault.at_s=0.5"
+    done = asked("run", "default", *settings, "--in-process", "--out", path / "run")
+    assert done.returncode == 0
+    return path
+
+
+def shown(page: str) -> dict:
+    return json.loads(re.search(r'id="run">(.*?)</script>', page, re.DOTALL)[1])
+
+
+def test_a_run_has_its_charts_and_the_evidence_and_reports_beside(folder):
+    assert asked("view", folder / "run", "--out", folder / "run.html").returncode == 0
+    run = shown((folder / "run.html").read_text("utf-8"))
+    labels = {curve["label"]: curve["unit"] for curve in run["curves"]}
+    assert labels["yaw rate"] == "rad/s"
+    assert "evidence: steering torque lost" in labels
+    assert run["scene"]["kind"] == "car"
+    assert [mark["time_s"] for mark in run["marks"] if "fault begins" in mark["text"]] == [0.5]
+
+
+def test_a_log_has_the_signals_of_its_database(folder):
+    done = asked("view", folder / "run/bus.log", "--out", folder / "log.html")
+    assert done.returncode == 0
+    run = shown((folder / "log.html").read_text("utf-8"))
+    assert "DSTAR_FEEDBACK.DStar" in run["keys"]
+    (mode,) = (curve for curve in run["curves"] if curve["key"] == "CONTROLLER_STATUS.Mode")
+    assert "RUN" in mode["words"].values()
+    nothing = asked("view", folder / "run/bus.log", "--dbc", "dbc/control.dbc", "--out", "x.html")
+    assert nothing.returncode != 0
+
+
+def test_an_existing_page_stays(folder):
+    (folder / "there.html").write_text("mine")
+    done = asked("view", folder / "run", "--out", folder / "there.html")
+    assert "exists; choose" in done.stderr
+    assert (folder / "there.html").read_text() == "mine"
+
+
+@pytest.mark.timeout(120)
+def test_in_a_browser_charts_are_added_and_zoom_together_and_an_event_is_found(folder):
+    if BROWSER is None:
+        pytest.skip("NOT TESTED: there is no chromium here (apt-get install chromium)")
+    asked("view", folder / "run", "--out", folder / "page.html")
+    errors = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto((folder / "page.html").as_uri())
+        page.wait_for_selector("body[data-drawn]")
+        before = page.locator(".chart").count()
+        page.click("#list button:has-text('yaw rate')")
+        expect(page.locator(".chart")).to_have_count(before + 1)
+        page.click(".chart:last-child button:has-text('×')")
+        expect(page.locator(".chart")).to_have_count(before)
+        page.click("#marks button:has-text('fault begins')")
+        expect(page.locator("#bar output")).to_contain_text("values at 0.500 s")
+        expect(page.locator("#scene")).to_have_attribute("aria-label", re.compile("torque lost"))
+        page.focus(".chart >> nth=0")
+        page.keyboard.press("ArrowRight")
+        expect(page.locator("#bar output")).to_contain_text("after the mark")
+        page.select_option("#play select", "10")
+        page.click("#play button")
+        expect(page.locator("#play button")).to_have_text("Play", timeout=20_000)  # at its end
+        expect(page.locator("#scene")).to_have_attribute("aria-label", re.compile("^1.4"))
+        browser.close()
+    assert errors == []
