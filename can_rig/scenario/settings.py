@@ -260,7 +260,7 @@ class DesignSettings:
     feedback: bool = True
     estimator: Rule = "tustin"
     compensation: Literal["always", "on-confirmation", "off"] = "always"
-    safe_stop_s: NonNegativeFloat = 0.0
+    safe_stop_s: NonNegativeFloat = 0.2
     precision: Precision = "float64"
     speeds_mps: tuple[DesignSpeed, ...] | None = None
 

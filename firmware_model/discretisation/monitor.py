@@ -12,6 +12,7 @@ from firmware_model.law.monitor import Constants
 
 SWING = 0.04  # of the largest motion that the tires can hold
 ASTRAY = 0.15  # likewise: about the motion that a shipped channel 2 can hold at its limit
+STILL = 0.015  # likewise: wind and road move no car farther
 NOISE = 6.0  # deviations of the noise in a swing
 RANGE_S = 2.0  # a reference is forgotten slowly, compared with the car
 PATIENCE_S = 1.0  # half a period of the slowest limit cycle
@@ -43,6 +44,7 @@ def fill_monitor(monitor: Constants, plant: Plant, target: Target) -> None:
     monitor.doubt = target.doubt
     noise = NOISE * math.hypot(target.noise_rms, target.resolution)
     monitor.swing = max(SWING * target.motion_limit, noise)
+    monitor.still = max(STILL * target.motion_limit, noise)
     monitor.astray = max(ASTRAY * target.motion_limit, noise)
     monitor.patience = math.ceil(PATIENCE_S / target.tick_s)
 

@@ -150,6 +150,7 @@ MOST_FORGOTTEN = 0.99  # in a tick: the rest divides the factors of P
 REMAINDER_S = 0.12  # time constant of the remainder beyond the first order
 WHITE = 0.1  # white part of the remainder
 RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's change of G1 u1
+POWERLESS_S = 0.3  # a car follows large commands sooner
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
 
 
@@ -221,6 +222,7 @@ def build(design: ContinuousDesign, target: Target) -> Table:
         fill_takeover(table.takeover, target, filters.estimator_1)
     fill_monitor(table.monitor, design.plant, target)
     table.safe_stop.duration = math.ceil(target.safe_stop_s / target.tick_s)
+    table.safe_stop.certain = math.ceil(POWERLESS_S / target.tick_s)
     tables.flags.writeable = False
     made: Table = tables[0]
     return made

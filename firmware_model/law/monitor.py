@@ -48,6 +48,7 @@ class Constants(Struct):
     forgetting: Annotated[float, "1/tick", "share of the range forgotten in a tick"]
     doubt: Annotated[float, "1", "motion of healthy cars outside the range, over the reference"]
     swing: Annotated[float, "y", "least swing of a limit cycle"]
+    still: Annotated[float, "y", "largest y of a car that goes straight on"]
     astray: Annotated[float, "y", "least distance of a car astray from the range"]
     most_swings: Annotated[float, "1", "swings in a row until something is taken away"]
     patience: Annotated[float, "tick", "longest time between swings in a row"]
@@ -66,6 +67,7 @@ class State(Struct):
     motion: Annotated[float, "y", "second lag"]
     side: Annotated[float, "1", "side of the last swing: -1, 1; 0: none"]
     swings: Annotated[float, "1", "swings in a row"]
+    powerless: Annotated[float, "tick", "ticks in a row in which large commands moved no car"]
     since: Annotated[float, "tick", "ticks since y was outside"]
 
 
@@ -74,7 +76,7 @@ def clear_monitor(own: State) -> None:
     """Give everything back, for a car at rest or settled."""
     own.reason = 0
     own.sent_1 = own.sent_2 = own.low = own.high = own.heard = 0.0
-    own.caused = own.motion = own.side = own.swings = own.since = 0.0
+    own.caused = own.motion = own.side = own.swings = own.since = own.powerless = 0.0
 
 
 @firmware
@@ -137,6 +139,18 @@ def judge_motion(table: Constants, own: State, y: float) -> None:
 
 
 @firmware
+def judge_effect(table: Constants, own: State, reference: float, y: float) -> None:
+    """Count the ticks in which a car goes straight on, whatever commands and reference ask for."""
+    reach = table.doubt * max(abs(own.low), abs(own.high))
+    own.powerless += real(1.0, own.powerless)
+    caused = outside(own.motion, own.low, own.high)
+    if abs(caused) <= table.astray + reach or abs(y) >= table.still:
+        own.powerless = 0.0
+    if abs(reference - y) <= table.swing + reach:
+        own.powerless = 0.0
+
+
+@firmware
 def watch(
     table: Constants, own: State, reference: float, y: float, command_1: float, command_2: float
 ) -> tuple[float, float]:
@@ -150,12 +164,9 @@ def watch(
         command_1: the command of the law to channel 1.
         command_2: the command of the law to channel 2.
     """
-    allowed_1, allowed_2 = command_1, command_2
-    if table.enabled == 0:
-        return allowed_1, allowed_2
     before_1, before_2 = own.sent_1, own.sent_2
     if before_1 == 0.0 and before_2 == 0.0 and math.isfinite(command_1 + command_2):
-        before_1, before_2 = allowed_1, allowed_2  # a takeover goes on with acting commands
+        before_1, before_2 = command_1, command_2  # a takeover goes on with acting commands
     allowed_1 = possible(command_1, before_1, table.limit_1, table.slew_1)
     allowed_2 = possible(command_2, before_2, table.limit_2, table.slew_2)
     if own.reason == 0 and (allowed_1 != command_1 or allowed_2 != command_2):
@@ -166,10 +177,15 @@ def watch(
     if math.isfinite(y) and y != own.heard:
         own.heard = y
         judge_motion(table, own, y)
+        judge_effect(table, own, reference, y)
+    if table.enabled == 0:
+        own.reason = 0
     zero = real(0.0, y)
     if own.reason > 0:
         allowed_2 = possible(zero, own.sent_2, table.limit_2, table.slew_2)
     if own.reason > COMPENSATION_OFF:
         allowed_1 = possible(zero, own.sent_1, table.limit_1, table.slew_1)
     own.sent_1, own.sent_2 = allowed_1, allowed_2
+    if table.enabled == 0:
+        allowed_1, allowed_2 = command_1, command_2
     return allowed_1, allowed_2

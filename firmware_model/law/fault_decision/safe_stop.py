@@ -3,8 +3,9 @@
 Each command goes to zero in a straight line, as far as the rate limit allows. The models follow.
 
 - Both actuators are lost: no command moves the plant any more, and a standing command would act at
-  once if an actuator came back. The commands stay zero until ``reset``. A table with a duration of
-  0 only reports the verdict and goes on.
+  once if an actuator came back. The commands stay zero until ``reset``. D* alone tells no such
+  loss for certain: the torque must be lost, and the monitor must see that large commands do not
+  move the car. A table with a duration of 0 goes on.
 - An input is missing for the longest time: a prediction is no better than its model. The line is as
   long as that time, and the next tick with both inputs ends the stop.
 """
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 from firmware_model.compiled import firmware
 from firmware_model.law.actuator import command_possible
 from firmware_model.law.precision import real
-from firmware_model.law.status import Verdict
+from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import Struct
 
 if TYPE_CHECKING:
@@ -24,13 +25,14 @@ if TYPE_CHECKING:
     from firmware_model.law.layout import Table
 
 
-BOTH_LOST = int(Verdict.BOTH_LOST)
+BOTH_LOST, CONFIRMED = int(Verdict.BOTH_LOST), int(FaultState.CONFIRMED)
 
 
 class Constants(Struct):
     """Constants."""
 
     duration: Annotated[float, "tick", "duration of the way to zero; 0: the commands go on"]
+    certain: Annotated[float, "tick", "ticks without any effect until a loss of both is certain"]
 
 
 class State(Struct):
@@ -41,8 +43,11 @@ class State(Struct):
 
 @firmware
 def both_lost(table: Table, state: layout.State) -> bool:
-    """Whether both actuators have been found lost, and the table asks for a stop."""
-    lost: bool = state.hypotheses.verdict == BOTH_LOST and table.safe_stop.duration > 0.0
+    """Whether both actuators are lost for certain, and the table asks for a stop."""
+    begun = state.safe_stop.elapsed > 0.0
+    told = state.fault_state == CONFIRMED or state.hypotheses.verdict == BOTH_LOST
+    certain = told and state.monitor.powerless >= table.safe_stop.certain
+    lost: bool = table.safe_stop.duration > 0.0 and (begun or certain)
     return lost
 
 
@@ -59,6 +64,7 @@ def take_commands_back(table: Table, state: layout.State) -> None:
     own, one, longest = state.safe_stop, real(1.0, state.command_1), table.prediction.longest
     left = longest - (state.prediction.elapsed - longest)
     if both_lost(table, state):
+        state.hypotheses.verdict = BOTH_LOST
         left = table.safe_stop.duration - own.elapsed
         own.elapsed += one
     nearer_to_zero(table, state, left)

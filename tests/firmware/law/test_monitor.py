@@ -42,7 +42,7 @@ def bench(**changes: float) -> tuple[Any, Any]:
     values: dict[str, float] = {
         "enabled": 1, "limit_1": 10.0, "limit_2": 10.0, "slew_1": math.inf, "slew_2": math.inf,
         "gain_1": 1.0, "gain_2": 1.0, "lag": 1.0, "forgetting": 0.001, "doubt": 0.2,
-        "swing": SWING, "astray": ASTRAY, "most_swings": 4.0, "patience": 50.0,
+        "swing": SWING, "astray": ASTRAY, "still": 0.2, "most_swings": 4.0, "patience": 50.0,
     }  # fmt: skip
     for name, value in (values | changes).items():
         table[name] = value
@@ -118,6 +118,26 @@ def test_a_sensor_that_repeats_itself_stops_no_car() -> None:
     rows = [(1.0 if k < 50 else -1.0, 9.0, 9.0, 0.0) for k in range(200)]
     told(table, own, [(1.0, 1.0, 1.0, 0.0), (1.0, 9.0, 1.0, 0.0)])
     assert told(table, own, rows) == [(9.0, 0.0)] * 200
+
+
+EFFECTS: dict[str, tuple[float, ...]] = {
+    "no effect": (1.0, 0.1, 9.0, 0.0),
+    "no effect of either": (1.0, -0.1, 2.0, 7.0),
+    "a car that moves": (2.0, -0.3, 9.0, 0.0),
+    "small commands": (1.0, 0.1, 2.0, 0.0),
+    "straight on, as asked": (0.3, 0.1, 9.0, 0.0),
+}
+
+
+@pytest.mark.parametrize(("name", "ticks"), zip(EFFECTS, [40, 40, 0, 0, 0], strict=True))
+def test_ticks_in_which_commands_have_no_effect(name: str, ticks: int) -> None:
+    table, own = bench()
+    reference, y, *commands = EFFECTS[name]
+    told(table, own, [(0.0, 0.0, 0.1, 0.0), (reference, y + 0.01, *commands)])
+    told(table, own, [(reference, y + 1e-4 * k, *commands) for k in range(41)])
+    assert own.powerless == pytest.approx(ticks, abs=1.0)
+    told(table, own, [(reference, 0.5 * reference + 0.2, *commands)])
+    assert own.powerless == 0.0
 
 
 def test_swings_take_the_force_difference_first_then_the_torque() -> None:

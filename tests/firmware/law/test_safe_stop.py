@@ -12,7 +12,7 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import ParameterError
 from firmware_model.law import controller
-from firmware_model.law.status import Mode, Verdict
+from firmware_model.law.status import FaultState, Mode, Verdict
 from tests.firmware.analysis.loops import SLOW as DESIGN
 
 TICK_S = 0.001
@@ -26,6 +26,7 @@ def lost(safe_stop_s: float = TICKS * TICK_S, **changes: Any) -> tuple[Any, Any]
     controller.step(table, state, 0.0, 0.0)
     state.command_1, state.command_2 = 8.0, -400.0
     state.hypotheses.verdict = Verdict.BOTH_LOST
+    state.monitor.powerless = table.safe_stop.certain
     return table, state
 
 
@@ -66,6 +67,28 @@ def test_without_a_duration_the_verdict_changes_no_command() -> None:
     np.testing.assert_array_equal(*found)
 
 
+@pytest.mark.parametrize(
+    ("fault_state", "verdict", "missing", "mode"),
+    [
+        (FaultState.CLEAR, Verdict.BOTH_LOST, 0.0, Mode.SAFE_STOP),
+        (FaultState.CONFIRMED, Verdict.NOTHING, 0.0, Mode.SAFE_STOP),
+        (FaultState.CLEAR, Verdict.BOTH_LOST, 1.0, Mode.RUN),
+        (FaultState.CONFIRMED, Verdict.NOTHING, 1.0, Mode.RUN),
+        (FaultState.SUSPECTED, Verdict.FORCE_LOST, 0.0, Mode.RUN),
+    ],
+)
+def test_a_lost_torque_and_commands_without_effect_stop(
+    fault_state: FaultState, verdict: Verdict, missing: float, mode: Mode
+) -> None:
+    table, state = lost()
+    assert table.safe_stop.certain == pytest.approx(0.3 / TICK_S)
+    state.fault_state, state.hypotheses.verdict = fault_state, verdict
+    state.monitor.powerless = table.safe_stop.certain - missing
+    commands(table, state, 3)
+    assert state.mode == mode
+    assert (state.hypotheses.verdict == Verdict.BOTH_LOST) == (mode == Mode.SAFE_STOP)
+
+
 def test_it_ends_with_a_reset_and_begins_anew() -> None:
     table, state = lost()
     commands(table, state, 7)
@@ -75,6 +98,7 @@ def test_it_ends_with_a_reset_and_begins_anew() -> None:
     assert np.abs(first).max() > 0.0
     state.command_1, state.command_2 = 8.0, -400.0
     state.hypotheses.verdict = Verdict.BOTH_LOST
+    state.monitor.powerless = table.safe_stop.certain
     np.testing.assert_allclose(commands(table, state, 1)[:, 0], [7.6, -380.0])
 
 

@@ -47,6 +47,7 @@ def test_in_a_safe_stop_f1_follows_what_the_actuators_still_do() -> None:
     state = controller.init(table)[0]
     state.command_1 = 8.0
     state.hypotheses.verdict = Verdict.BOTH_LOST
+    state.monitor.powerless = table.safe_stop.certain
     for _ in range(4):
         controller.step(table, state, 1.0, 0.3)
     assert state.mode == Mode.SAFE_STOP

@@ -88,7 +88,7 @@ def test_the_log_is_the_same(name: str, precision: str) -> None:
 
 def test_the_log_of_a_safe_stop_is_the_same() -> None:
     settings = [
-        "reference.kind=sine", "reference.frequency_rad_per_s=6", "duration_s=1.4",
+        "reference.kind=step", "duration_s=2.2",
         "fault.0.kind=actuator-dead", "fault.0.at_s=0.5", "fault.1.kind=actuator-dead",
         "fault.1.channel=force-difference", "fault.1.at_s=0.8", "design.safe_stop_s=0.1",
     ]  # fmt: skip

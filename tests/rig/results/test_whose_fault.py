@@ -74,10 +74,15 @@ def test_the_loss_of_both_channels_is_named_and_that_of_one_is_not_taken_for_it(
 
 
 def test_with_both_lost_a_safe_stop_takes_the_commands_back() -> None:
-    scenario, signals = run("default", [*LANE_CHANGE, *BOTH_LOST, "design.safe_stop_s=0.2"])
-    since_s = whose_fault(scenario, signals)["BOTH_LOST"]["since_s"]
+    """As soon as the car does not follow commands that ask for much."""
+    _, signals = run("default", [*LANE_CHANGE, *BOTH_LOST, "duration_s=6.5"])
     stopped = signals.mode == Mode.SAFE_STOP
-    np.testing.assert_array_equal(stopped, signals.time_s > since_s + 1e-9)
+    since_s = signals.time_s[np.argmax(stopped)]
+    assert 4.7 < since_s < 5.2
+    assert (signals.verdict[stopped] == Verdict.BOTH_LOST).all()
+    np.testing.assert_array_equal(stopped, signals.time_s >= since_s)
+    asked = np.abs(signals.reference_mps2 - signals.dstar_mps2)
+    assert asked[(signals.time_s > since_s - 0.3) & (signals.time_s < since_s)].min() > 0.35
     for command in (signals.torque_nm, signals.force_difference_n):
         begin = command[~stopped][-1]
         assert np.abs(np.diff([begin, *command[stopped]])).max() < 1.5 / 200 * abs(begin) + 1.0
