@@ -6,24 +6,30 @@ import html
 from collections.abc import Iterable
 from typing import Any, Final
 
+from can_rig.drawing import bench
+
 STYLE: Final = """
-body { font-family: sans-serif; max-width: 60em; margin: 2em auto; color: #1b1b1b; }
-table { border-collapse: collapse; margin: 1em 0; }
-th, td { padding: 0.2em 0.8em 0.2em 0; text-align: left; vertical-align: top; }
-th { border-bottom: 1px solid #1b1b1b; }
+main { max-width: 75rem; margin: 1rem auto; padding: 0 1rem; }
+table { border-collapse: collapse; margin: .5rem 0; }
+th, td { padding: .15rem .8rem .15rem 0; text-align: left; vertical-align: top; }
+th { border-bottom: 1px solid var(--soft); }
 td.n { text-align: right; font-variant-numeric: tabular-nums; }
-code { font-size: 85%; overflow-wrap: anywhere; }
+code { font-size: 85%; color: var(--soft); overflow-wrap: anywhere; }
+h1 { font-size: 1.3rem; } h2 { font-size: 1.05rem; }
+p { margin: .2rem 0; }
 img { max-width: 100%; }
 """
 
 
 def page(title: str, parts: Iterable[str], style: str = "") -> str:
-    """A whole page; ``parts`` are HTML, and ``style`` comes after the common one."""
+    """A whole page; ``parts`` are HTML, and ``style`` comes after the style of the bench."""
     head = (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f"<title>{html.escape(title)}</title><style>{STYLE}{style}</style></head><body>"
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{html.escape(title)}</title><style>{bench.style()}{STYLE}{style}</style></head>"
+        "<body><main>"
     )
-    return "\n".join([head, *parts, "</body></html>\n"])
+    return "\n".join([head, *parts, "</main></body></html>\n"])
 
 
 class Code(str):

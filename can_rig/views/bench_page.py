@@ -127,11 +127,11 @@ def _page(title: str, of: Recording) -> str:
     return page(
         title,
         [
-            f"<main><h1>{html.escape(title)}</h1>",
+            f"<h1>{html.escape(title)}</h1>",
             '<nav id="list" aria-label="signals"></nav>',
             f'<section id="view">{view}</section>',
-            f'<section id="events">{parts[-1 - len(scripts)]}</section></main>',
+            f'<section id="events">{parts[-1 - len(scripts)]}</section>',
             *scripts,
         ],
-        bench.style() + bench.text("view.css"),
+        bench.text("view.css"),
     )

@@ -12,7 +12,7 @@ monitor only takes away: the force difference, or both commands. What is taken a
   a gust, a faulty sensor or a stuck motor, against which the commands work, stops no car.
 - **Swinging.** y swings out of the range to alternate sides while the commands are large enough to
   cause the swings: a limit cycle, growing or sustained, for which no reference asks. The force
-  difference goes first. If the swings go on, the torque follows.
+  difference goes first. If the swings go on, or the force difference is zero, the torque goes too.
 
 Ranges of healthy cars: y of a car in the box of the design leaves the range by ``doubt`` times the
 largest reference at most. Wind, road and noise add less than ``swing``, and no alternating swings.
@@ -134,7 +134,8 @@ def judge_motion(table: Constants, own: State, y: float) -> None:
         own.reason = ASTRAY
     count_swings(table, own, outside(y, own.low, own.high), table.swing + reach)
     if own.swings >= table.most_swings and own.reason < SWINGING:
-        own.reason = SWINGING if own.reason == COMPENSATION_OFF else COMPENSATION_OFF
+        torque_alone = own.reason == COMPENSATION_OFF or own.sent_2 == 0.0
+        own.reason = SWINGING if torque_alone else COMPENSATION_OFF
         own.swings = 0.0
 
 

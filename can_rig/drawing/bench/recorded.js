@@ -43,7 +43,7 @@ function player(charts, scene, moving) {
   slider.oninput = () => go(Number(slider.value));
   charts.onCursor = (t) => { if (before === null && t !== null) show(t); };
   by("play").append(play, slider, speed);
-  show(run.first);
+  go(run.first);
   return go;
 }
 

@@ -87,7 +87,7 @@ class Scene {
     this.line(way("", i + 1), "blue", 2.5);
     this.body(place(data.x[i], data.y[i]), data.heading[i] - turn, scale, i);
     if (lane) words.unshift(`car ${this.off(i, "").toFixed(2)} m off the lane's middle`);
-    words.push(`steering angle ${((180 / Math.PI) * data.steering[i]).toFixed(2)}° (drawn × ${STEERING_SHOWN})`, `rear wheels ${shown(data.applied_2[i])} ${setting.units[2]}`);
+    words.push(`steering angle ${((180 / Math.PI) * data.steering[i]).toFixed(2)}° (drawn × ${STEERING_SHOWN})`, `rear wheels ${shown(Math.round(10 * data.applied_2[i]) / 10)} ${setting.units[2]}`);
     return words;
   }
 

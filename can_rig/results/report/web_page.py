@@ -14,7 +14,6 @@ import numpy as np
 
 from can_rig import paged
 from can_rig.drawing.bench import Chart, Curve, Recording, recorded
-from can_rig.drawing.bench import style as bench_style
 from can_rig.drawing.html import Code, page, table
 from can_rig.drawing.names import CAR, Names, disturbance_label, fault_label, names_of
 from can_rig.drawing.names import in_words as parted
@@ -169,15 +168,6 @@ def _changes(
 
 
 STYLE: Final = """
-body { max-width: none; }
-main { max-width: 75rem; margin: 1rem auto; padding: 0 1rem; }
-table { border-collapse: collapse; margin: .5rem 0; }
-th, td { padding: .15rem .8rem .15rem 0; text-align: left; vertical-align: top; }
-th { border-bottom: 1px solid var(--soft); }
-td.n { text-align: right; font-variant-numeric: tabular-nums; }
-code { font-size: 85%; color: var(--soft); overflow-wrap: anywhere; }
-h1 { font-size: 1.3rem; } h2 { font-size: 1.05rem; }
-p { margin: .2rem 0; }
 .hint { color: var(--soft); }
 #marks { columns: 22rem; max-height: 14rem; overflow: auto; font-variant-numeric: tabular-nums; }
 #play input { flex: 1; padding: 0; }
@@ -206,20 +196,19 @@ def web_page(
     names = names_of(scenario.plant)
     title, *lines = page_title(scenario, names, signals).split("\n")
     parts = [
-        "<main>",
         f"<h1>{html.escape(title)}</h1>",
         *(f"<p>{html.escape(line)}</p>" for line in lines),
         '<p class="hint">Drag or turn the wheel to zoom, shift and drag to pan, double-click for '
         "the whole run, click to set a mark and read differences. A name hides its curve.</p>",
         *recorded(recording(scenario, network, signals)),
         "<h2>Metrics</h2>",
-        table(("", "value", "unit", "key in run.json"), _in_units(_known(values), names)),
+        table(("metric", "value", "unit", "key in run.json"), _in_units(_known(values), names)),
         *_of_faults(faults, names),
         "<details><summary>Scenario</summary>",
         table(("key", "value"), _leaves(said.as_dict())),
-        "</details></main>",
+        "</details>",
     ]
-    return page(title, parts, bench_style() + STYLE)
+    return page(title, parts, STYLE)
 
 
 def _in_units(
@@ -242,7 +231,7 @@ def _words(value: Any) -> Any:
 def _of_faults(faults: list[dict[str, Any]], names: Names) -> Iterator[str]:
     for number, fault in enumerate(faults, 1):
         yield f"<h2>Fault {number}</h2>"
-        yield table(("", "value", "unit", "key in run.json"), _in_units(_known(fault), names))
+        yield table(("fault", "value", "unit", "key in run.json"), _in_units(_known(fault), names))
 
 
 def _known(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

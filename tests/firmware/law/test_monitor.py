@@ -150,6 +150,14 @@ def test_swings_take_the_force_difference_first_then_the_torque() -> None:
     assert own.reason == Verdict.SWINGING
 
 
+def test_swings_of_the_torque_alone_take_both_at_once() -> None:
+    table, own = bench()
+    rows = [(*row[:3], 0.0) for row in swinging(SWING + REACH + 0.4)]
+    left = np.array(told(table, own, rows))
+    assert 30 < np.flatnonzero(left[:, 0] == 0.0)[0] < 40
+    assert own.reason == Verdict.SWINGING
+
+
 @pytest.mark.parametrize(
     ("rows", "why"),
     [
