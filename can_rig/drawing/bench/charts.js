@@ -178,7 +178,7 @@ class Charts {
     const plot = new uPlot({
       width: Math.max(this.place.clientWidth, 50), height: LEAST_HEIGHT, padding: [6, 12, isLast ? 0 : 6, 0],
       cursor: { sync: { key: "bench" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { this.zoom(null); return null; } } },
-      scales: { x: { time: false }, y: words ? { range: wordRange(words) } : { linear: {}, log: { distr: 3 }, asinh: { distr: 4, asinh: 10 } }[chart.scale] },
+      scales: { x: { time: false }, y: words ? { range: wordRange(words) } : { linear: { range: wideEnough }, log: { distr: 3 }, asinh: { distr: 4, asinh: 10 } }[chart.scale] },
       axes: [
         { stroke: ink, grid, font, size: isLast ? TIME_AXIS : 0, values: isLast ? (u, ticks) => ticks.map((v) => `${Number(v.toPrecision(7))} s`) : () => [], ticks: { show: isLast, stroke: rule } },
         { stroke: ink, grid, font, size: 78, space: 14, ticks: { stroke: rule }, ...splits },
@@ -252,6 +252,13 @@ class Charts {
   }
 
   mark(time_s) { this.pin = time_s === null || (this.pin !== null && Math.abs(time_s - this.pin) < 1e-9) ? null : time_s; this.draw(); }
+}
+
+// A range with room that numbers can label; uPlot's own is empty for values that hardly differ.
+function wideEnough(u, least, most) {
+  if (least === null) return [-1, 1];
+  const half = 0.55 * Math.max(most - least, 1e-5 * Math.max(Math.abs(least), Math.abs(most)), 1e-9), middle = (least + most) / 2;
+  return [middle - half, middle + half];
 }
 
 // Axes with a number for each decade, and for some values on both sides of zero.
