@@ -51,6 +51,7 @@ HOST_FLAGS: Final = ("-std=c99", "-ffp-contract=off")
 NODE_TICKS = 60
 VALUES = (-2.0, 2.0)
 SPEEDS = (-5.0, 50.0)  # m/s: within the designs' range and outside
+STANDSTILLS = 0.01  # of all ticks
 LAST_TICKS = 65530  # the 16 bits of the tick end soon
 
 
@@ -85,7 +86,8 @@ def as_orders(network: Network, seeds: range, tick_us: int) -> bytes:
 
     Each seed has its own start time.
 
-    The clock wraps; the node reads the clock before and after half a tick.
+    The clock wraps; the node reads the clock before and after half a tick, and sometimes seems to
+    have stood still.
     """
     orders = []
     for seed in seeds:
@@ -98,6 +100,10 @@ def as_orders(network: Network, seeds: range, tick_us: int) -> bytes:
                 orders.append(frame_order(message.arbitration_id, bytes(message.data)))
             orders += [time_order(at_us + tick_us * tenth // 10) for tenth in (4, 5, 6)]
             at_us += tick_us
+            if choose.random() < STANDSTILLS:
+                most = 16 * tick_us  # ECU_MOST_LATE_TICKS
+                stood = choose.choice([most, most + 1, 2 * most, 2**31, 2**32 - 2 * tick_us - 1])
+                orders.append(time_order((at_us + late_us + stood) % 2**32))
         orders.append(COUNT)
     return b"".join(orders)
 

@@ -2,26 +2,40 @@
 
 #include <string.h>
 
-static void receiver_init(struct ecu_receiver *receiver, const struct frame *frame)
+/* Know nothing of the sender; what has been counted stays. */
+static void receiver_begin(struct ecu_receiver *receiver, const struct frame *frame)
 {
+    struct e2e_checker checker;
+
+    e2e_checker_init(&checker, frame->data_id);
+    (void)memcpy(checker.counts, receiver->checker.counts, sizeof checker.counts);
+    receiver->checker = checker;
     receiver->judged = false;
-    e2e_checker_init(&receiver->checker, frame->data_id);
+}
+
+/* Know nothing of the plant, and wait for the first contact. */
+static void begin(struct ecu *ecu)
+{
+    firmware_init(&ecu->state);
+    receiver_begin(&ecu->reference, &frame_reference);
+    receiver_begin(&ecu->feedback, &frame_feedback);
+    ecu->offered = false;
+//: if hears
+    receiver_begin(&ecu->speed, &frame_speed);
+    ecu->speed_offered = false;
+//: end
+    ecu->running = false;
+    ecu->wanted = (double)NAN;
+    ecu->measured = (double)NAN;
 }
 
 void ecu_init(struct ecu *ecu)
 {
     (void)memset(ecu, 0, sizeof *ecu);
-    firmware_init(&ecu->state);
-    receiver_init(&ecu->reference, &frame_reference);
-    receiver_init(&ecu->feedback, &frame_feedback);
-//: if hears
-    receiver_init(&ecu->speed, &frame_speed);
-//: end
     e2e_protector_init(&ecu->command_1, frame_command_1.data_id);
     e2e_protector_init(&ecu->command_2, frame_command_2.data_id);
     e2e_protector_init(&ecu->status, frame_status.data_id);
-    ecu->wanted = (double)NAN;
-    ecu->measured = (double)NAN;
+    begin(ecu);
 }
 
 /* Whether the content of a frame may be used: intact, in sequence, and of this tick. */
@@ -122,11 +136,20 @@ bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *d
     return false;
 }
 
-bool ecu_is_overdue(const struct ecu *ecu, uint32_t now_us)
+bool ecu_is_overdue(struct ecu *ecu, uint32_t now_us)
 {
     const uint32_t late_us = now_us - ecu->expected_us;
+    const uint32_t early_us = ecu->expected_us - now_us;
 
-    return ecu->running && late_us >= ecu_tick_us / 2 && late_us < 0x80000000u;
+    if (!ecu->running || early_us <= 2u * ecu_tick_us || late_us < ecu_tick_us / 2u) {
+        return false;
+    }
+    if (late_us > ECU_MOST_LATE_TICKS * ecu_tick_us) {
+        ecu->stalls++;
+        begin(ecu);
+        return false;
+    }
+    return true;
 }
 
 static void answer(const struct frame *frame, struct e2e_protector *protector, double value,
@@ -169,5 +192,6 @@ void ecu_on_tick(struct ecu *ecu)
 //: end
     ecu->measured = (double)NAN;
     ecu->tick++;
+    ecu->alive++;
     ecu->expected_us += ecu_tick_us;
 }

@@ -50,7 +50,12 @@ struct ecu {
     bool offered;         /* whether a reference came before the first contact: */
     uint8_t first[8];     /* its bytes */
     uint8_t first_length;
+    uint32_t alive;  /* ticks answered since power-up, for a watchdog */
+    uint32_t stalls; /* standstills of more than ECU_MOST_LATE_TICKS since power-up */
 };
+
+/* Longest standstill of the node whose ticks are made up for, one after the other. */
+#define ECU_MOST_LATE_TICKS 16u
 
 /* Start, as after power-up. */
 void ecu_init(struct ecu *ecu);
@@ -61,8 +66,12 @@ void ecu_init(struct ecu *ecu);
 bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data,
                   uint32_t now_us);
 
-/* Whether the feedback is half a tick late: never before the first contact. */
-bool ecu_is_overdue(const struct ecu *ecu, uint32_t now_us);
+/* Whether the feedback is half a tick late: never before the first contact.
+ *
+ * After a standstill of more than ECU_MOST_LATE_TICKS the node makes up for nothing: it counts a
+ * stall, waits for the next first contact, and takes over a plant that moves, as after power-up.
+ */
+bool ecu_is_overdue(struct ecu *ecu, uint32_t now_us);
 
 /* Compute a tick and send its answer; inputs that have not come are held. */
 void ecu_on_tick(struct ecu *ecu);

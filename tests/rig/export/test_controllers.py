@@ -281,6 +281,8 @@ static void (*sender)(uint16_t, const uint8_t *);
 void set_sender(void (*called)(uint16_t, const uint8_t *)) { sender = called; }
 void ecu_send(uint16_t id, const uint8_t data[8]) { sender(id, data); }
 size_t ecu_size(void) { return sizeof(struct ecu); }
+uint32_t ecu_alive(const struct ecu *ecu) { return ecu->alive; }
+uint32_t ecu_stalls(const struct ecu *ecu) { return ecu->stalls; }
 """
 Sender = ctypes.CFUNCTYPE(None, ctypes.c_uint16, ctypes.POINTER(ctypes.c_uint8))
 
@@ -334,6 +336,52 @@ def test_a_feedback_that_does_not_come_is_missed(seed: int) -> None:
         assert sent == expected
     assert missed > 20
     assert len(expected) == 3 * 120
+
+
+def test_a_node_that_stood_still_sends_no_burst() -> None:
+    """The node makes up for few ticks; after a longer standstill it begins with the next frames."""
+    scenario = load("default", ["duration_s=1", f"tick_s={TICK_US / 1e6}"])
+    network = network_of(scenario)
+    library = ctypes.CDLL(str(shared_library(application(scenario) | {"driver.c": DRIVER})))
+    library.ecu_is_overdue.restype = library.ecu_on_frame.restype = ctypes.c_bool
+    sent: list[bytes] = []
+    sender = Sender(lambda _, data: sent.append(bytes(data[:8])))
+    library.set_sender(sender)
+    ecu = ctypes.create_string_buffer(library.ecu_size())
+
+    def tick(number: int, now_us: int) -> None:
+        for end in ends:
+            data = bytes(end.frame(0.5, number).data)
+            now = ctypes.c_uint32(now_us)
+            if library.ecu_on_frame(ecu, end.codec.frame_id, len(data), data, now):
+                library.ecu_on_tick(ecu)
+
+    for late_us, made_up in (
+        (TICK_US // 2 - 1, 0),
+        (TICK_US // 2, 1),
+        (15 * TICK_US + TICK_US // 2, 16),
+        (16 * TICK_US, 16),
+        (16 * TICK_US + 1, 0),
+        (2_000_000, 0),
+        (2**31 + TICK_US, 0),
+        (2**32 - 2 * TICK_US - 1, 0),
+    ):
+        library.ecu_init(ecu)
+        sent.clear()
+        ends = [Transmitter(network.reference), Transmitter(network.feedback)]
+        for number in range(20):
+            tick(number, number * TICK_US)
+        now_us = 20 * TICK_US + late_us
+        while library.ecu_is_overdue(ecu, ctypes.c_uint32(now_us)):
+            library.ecu_on_tick(ecu)
+        stalled = late_us > 16 * TICK_US
+        assert (len(sent) // 3 - 20, library.ecu_stalls(ecu)) == (made_up, stalled)
+        first = now_us // TICK_US + 1
+        for number in range(first, first + 30):
+            tick(number, number * TICK_US)
+        assert len(sent) == 3 * library.ecu_alive(ecu)
+        ticks = [int.from_bytes(data[2:4], "little") for data in sent[-3:]]
+        assert ticks == [(first + 29) % 65536] * 3 or not stalled
 
 
 # --- the node at a serial port -------------------------------------------------------------------
