@@ -205,4 +205,4 @@ def test_a_status_frame_of_one_s_own_says_the_verdict_where_it_has_room(
     assert bool(codec.verdicts) == bool(bits)
     record = codec.decode(codec.encode(1.0, 5, 1, 2, 8))
     assert record == (1.0, 5, 1, 2, 8 if bits else 0)
-    assert codec.decode(codec.encode(1.0, 5, 1, 2, 99)).verdict == (9 if bits else 0)
+    assert codec.decode(codec.encode(1.0, 5, 1, 2, 99)).verdict == (13 if bits else 0)
