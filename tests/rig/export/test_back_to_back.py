@@ -126,6 +126,7 @@ def test_structs_lie_where_numpy_has_them(precision: Precision) -> None:
 
 def test_inputs_that_are_missing_are_held() -> None:
     tables = random_table(np.random.default_rng(5), "float64")
+    tables[0].monitor.enabled, tables[0].prediction.longest = 0, math.inf
     law = CompiledLaw("float64")
     states = law.init(tables[0])
     *_, mode, _, _ = law.step_of(tables, states)(math.nan, 0.0)
