@@ -45,6 +45,8 @@ class Whitening(NamedTuple):
         return float(answer @ answer)
 
 
+# rms of the white part of D*, over the disturbance: no model of a disturbed plant is finer
+FINEST = 0.05
 LEAST = 1e-5  # disturbance of a tick over white noise: less is beyond the solver's digits
 
 
@@ -56,6 +58,8 @@ def whitening(channel_1: Sections, target: Target) -> Whitening:
     a = target.noise_pole
     noise = (1.0 - a * a) * target.noise_rms**2
     rounding = target.resolution**2 / 12.0 + NO_NOISE[target.precision] ** 2
+    finest = FINEST * target.disturbance
+    rounding = max(rounding, finest**2 - noise)
     lag = math.exp(-2.0 / max(mean_delay(channel_1), 1e-9))
     least = LEAST * math.sqrt((noise + rounding) / target.tick_s)
     blocks = []  # dynamics, input gains and output of each part of e

@@ -177,7 +177,10 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
 
 @firmware
 def take_away(table: Table, state: State, r: float, y: float) -> None:
-    """Let the monitor have the last word on the commands; F1 follows what is left."""
+    """Let the monitor have the last word on the commands; F1 follows what is left.
+
+    Without latency F1 has taken in the commands already: d̂ is no estimate from then on.
+    """
     own, estimator, latency = state.monitor, state.estimator, table.estimator.latency_ticks
     left_1, left_2 = watch(table.monitor, own, r, y, state.command_1, state.command_2)
     state.command_1, state.command_2 = left_1, left_2

@@ -33,9 +33,11 @@ def test_the_spectrum_behind_the_whitener_is_flat(
     found = whitening(G1, target)
     z = np.exp(1j * np.geomspace(1e-3, math.pi, 50))
     lag = math.exp(-2.0 / mean_delay(G1))
+    white = (1.0 - pole**2) * noise**2
+    rounding = max(resolution**2 / 12.0, (0.05 * disturbance) ** 2 - white)
     walk = disturbance * math.sqrt(TICK_S) / (z - 1.0) * ((1.0 - lag) / (z - lag)) ** 2
     sensor = noise * math.sqrt(1.0 - pole**2) / (1.0 - pole / z)
-    spectrum = abs(walk) ** 2 + abs(sensor) ** 2 + resolution**2 / 12.0 + 1e-18
+    spectrum = abs(walk) ** 2 + abs(sensor) ** 2 + rounding + 1e-18
     flat = abs(found.sections(z)) ** 2 * spectrum / found.variance
     np.testing.assert_allclose(flat, 1.0, rtol=1e-3)
 
@@ -52,6 +54,16 @@ def test_a_disturbance_that_noise_hides_leaves_the_whitener_of_the_noise(noise_p
     assert shown.sections.coefficients.size > alone.sections.coefficients.size
     for each in (alone, shown):
         assert each.variance == pytest.approx(1000.0**2 * (1.0 - noise_pole**2), rel=1e-3)
+
+
+@pytest.mark.parametrize("disturbance", [1e-3, 0.02, 1.0])
+def test_a_perfect_sensor_does_not_know_a_disturbed_plant_perfectly(disturbance: float) -> None:
+    """The white part of D* has a twentieth of the disturbance at least, by whatever noise."""
+    alone = whitening(G1, Target(TICK_S, disturbance=disturbance))
+    fine = whitening(G1, Target(TICK_S, disturbance=disturbance, noise_rms=0.01 * disturbance))
+    assert alone.variance == pytest.approx(fine.variance)
+    assert alone.variance >= (0.05 * disturbance) ** 2
+    np.testing.assert_allclose(fine.sections.coefficients, alone.sections.coefficients, rtol=1e-6)
 
 
 def test_white_noise_needs_no_whitener() -> None:

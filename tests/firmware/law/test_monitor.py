@@ -17,11 +17,12 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.monitor import fill_monitor, widen_monitor
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
+from firmware_model.firmware import Firmware
 from firmware_model.law import controller
 from firmware_model.law.layout import state_type
 from firmware_model.law.monitor import Constants, clear_monitor, watch
 from firmware_model.law.monitor import State as MonitorState
-from firmware_model.law.status import Verdict
+from firmware_model.law.status import Mode, Verdict
 from firmware_model.law.structs import FloatArray, record_type
 
 TICK_S = 0.01
@@ -129,7 +130,7 @@ EFFECTS: dict[str, tuple[float, ...]] = {
 }
 
 
-@pytest.mark.parametrize(("name", "ticks"), zip(EFFECTS, [40, 40, 0, 0, 0], strict=True))
+@pytest.mark.parametrize(("name", "ticks"), [*zip(EFFECTS, [40, 40, 0, 0, 0], strict=True)])
 def test_ticks_in_which_commands_have_no_effect(name: str, ticks: int) -> None:
     table, own = bench()
     reference, y, *commands = EFFECTS[name]
@@ -280,6 +281,19 @@ def test_a_law_that_is_broken_is_stopped(law: Law, share: float) -> None:
     assert free[-100:].max() > 2.0
 
 
+def test_the_law_says_what_is_taken_away_and_its_models_follow_what_is_left() -> None:
+    firmware = Firmware(build(DESIGN, TARGET))
+    firmware.begin(at_rest=True)
+    waves = 2.5 * np.sin(2.0 * math.pi * TICK_S * np.arange(600))
+    answers = [firmware.step(0.0, y) for y in [*waves.tolist(), *[0.0] * 400]]
+    first = next(k for k, each in enumerate(answers) if each.verdict > Verdict.CANNOT_BE_TOLD)
+    assert 0 < first < 600
+    assert abs(answers[first].fault_estimate) > 0.1
+    last = answers[-1]
+    assert (last.command_1, last.command_2, last.mode) == (0.0, 0.0, Mode.SAFE_STOP)
+    assert last.fault_estimate == pytest.approx(0.0, abs=1e-6)
+
+
 def flipped(monitor: bool) -> FloatArray:
     """Largest |y| of cars whose law loses one used bit of its memory each."""
     random = np.random.default_rng(1)
@@ -304,6 +318,7 @@ def flipped(monitor: bool) -> FloatArray:
     return peak
 
 
+@pytest.mark.compiled
 def test_no_flipped_bit_gets_a_car_farther_than_commands_stuck_at_their_limits() -> None:
     free, bounded = flipped(False), flipped(True)
     limit = driven(stuck_at_limits).max()

@@ -82,7 +82,7 @@ def test_signals_csv_has_the_columns_after_those_of_the_frames(tmp_path):
     columns = read_table(log, scenario).columns
     np.testing.assert_allclose(columns["yaw_rate_rad_per_s"], signals.plant["yaw_rate_rad_per_s"])
     assert read_table(tmp_path / "signals.csv", scenario).name_and_unit("yaw_rate_rad_per_s") == (
-        "yaw rate rad per s",
+        "yaw rate",
         "rad/s",
     )
 

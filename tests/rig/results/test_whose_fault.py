@@ -152,6 +152,16 @@ def test_no_verdict_takes_away_what_compensates_a_lost_torque(
         np.testing.assert_array_equal(law.measurement, without.measurement)
 
 
+@pytest.mark.parametrize("noise", ["0", "1e-5", "1e-3"])
+def test_a_finer_sensor_finds_a_dead_motor_at_least_as_soon(noise: str) -> None:
+    settings = ["fault.at_s=1", "duration_s=2"]
+    usual, fine = (
+        metrics_of(load("default", [*settings, f"plant.sensor.noise_mps2={each}"]))
+        for each in ("0.005", noise)
+    )
+    assert 0.0 < fine["detection_delay_s"] <= usual["detection_delay_s"]
+
+
 def test_a_motor_that_dies_beside_a_biased_sensor_is_found_as_soon_as_alone() -> None:
     dead = ["fault.0.kind=actuator-dead", "fault.0.at_s=4"]
     biased = ["fault.1.kind=sensor-biased", "fault.1.bias_mps2=0.1", "fault.1.at_s=3"]
@@ -217,6 +227,7 @@ def test_the_status_frame_says_the_verdict(tmp_path: Path) -> None:
 def test_evidence_without_noise_is_finite() -> None:
     """At rest and without noise every tick of a bias is beyond doubt; run.json has no infinity."""
     rest = ["reference.amplitude_mps2=0", "plant.sensor.noise_mps2=0", "duration_s=2"]
+    rest.append("budget.disturbance_mps2=0")
     fault = ["fault.kind=sensor-biased", "fault.at_s=0.5"]
     scenario, signals = run("default", [*rest, *fault])
     largest = max(float(np.abs(signals.whose_fault[name]).max()) for name in EVIDENCE)
