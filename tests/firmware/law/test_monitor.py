@@ -294,6 +294,20 @@ def test_the_law_says_what_is_taken_away_and_its_models_follow_what_is_left() ->
     assert last.fault_estimate == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("latency", [0, 1])
+def test_the_law_goes_on_without_the_force_difference(latency: int) -> None:
+    """Swings of a loop that compensates take the force difference first, and only then the rest."""
+    target = replace(TARGET, latency_ticks=latency, on_confirmation=False)
+    firmware = Firmware(build(DESIGN, target))
+    firmware.begin(at_rest=True)
+    waves = 2.5 * np.sin(2.0 * math.pi * TICK_S * np.arange(900))
+    answers = [firmware.step(0.0, y) for y in waves.tolist()]
+    alone = [each for each in answers if each.verdict == Verdict.COMPENSATION_OFF]
+    assert {each.mode for each in alone} == {Mode.RUN}
+    assert alone[-1].command_1 != 0.0 == alone[-1].command_2
+    assert (answers[-1].verdict, answers[-1].mode) == (Verdict.SWINGING, Mode.SAFE_STOP)
+
+
 def flipped(monitor: bool) -> FloatArray:
     """Largest |y| of cars whose law loses one used bit of its memory each."""
     random = np.random.default_rng(1)
