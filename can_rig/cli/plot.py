@@ -9,7 +9,6 @@ from pathlib import Path
 
 import click
 
-from can_rig import paged
 from can_rig.cli.databases import databases_of
 from can_rig.cli.options import (
     channel_option,
@@ -20,7 +19,7 @@ from can_rig.cli.options import (
 )
 from can_rig.cli.output import note, reading, say
 from can_rig.decoding.decode import Decoder
-from can_rig.decoding.message_decoder import MessageColumns, MessageDecoder, joined
+from can_rig.decoding.message_decoder import MessageDecoder
 from can_rig.errors import DbcError, LogError
 from can_rig.files import atomic, refuse_picture
 from can_rig.logs.frames import window_of
@@ -62,14 +61,7 @@ def command(
     wanted = [resolve(every, name) for name in signals]
     decoder = Decoder(databases, None, {f"{m}.{s}" for m, s in wanted}, channel)
     source = read_log(log_path(log), window=window_of(from_s, to_s))
-    parts: dict[str, list[MessageColumns]] = {}
-    for frames in reading(source, "reading"):
-        for name, columns in decoder.decode(frames).items():
-            before = parts.setdefault(name, [])
-            before.append(columns)
-            if sum(map(len, before[1:])) > paged.PAGED_ROWS:
-                before[:] = [joined(before)]
-    found = {name: joined(columns) for name, columns in parts.items()}
+    found = decoder.whole(reading(source, "reading"))
     drawn = [pair for pair in wanted if len(found.get(pair[0], ()))]
     absent = sorted({message for message, _ in wanted if not len(found.get(message, ()))})
     if not drawn:

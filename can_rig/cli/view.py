@@ -72,7 +72,6 @@ def _of_log(
     from_s: float | None, to_s: float | None,
 ) -> str:  # fmt: skip
     from can_rig.decoding.decode import Decoder  # noqa: PLC0415
-    from can_rig.decoding.message_decoder import MessageColumns, joined  # noqa: PLC0415
     from can_rig.logs.frames import window_of  # noqa: PLC0415
     from can_rig.logs.reading import read_log  # noqa: PLC0415
     from can_rig.results.source import log_path  # noqa: PLC0415
@@ -80,13 +79,9 @@ def _of_log(
 
     decoder = Decoder(databases_of(log, dbc, not no_strict), None, None, channel)
     source = read_log(log_path(log), window=window_of(from_s, to_s))
-    parts: dict[str, list[MessageColumns]] = {}
-    for frames in reading(source, "reading"):
-        for name, columns in decoder.decode(frames).items():
-            parts.setdefault(name, []).append(columns)
-    if not parts:
+    found = decoder.whole(reading(source, "reading"))
+    if not found:
         nothing = decoder.nothing_on_channel or "no frame of the database's messages"
         raise LogError(f"{source.path}: {nothing}; name the database with --dbc")
     note(source.notice)
-    found = {name: joined(parts[name]) for name in decoder.messages if name in parts}
     return page_of_log(log, found, source.start_ns)

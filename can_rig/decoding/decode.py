@@ -27,6 +27,7 @@ from cantools.database.can import Database
 from cantools.database.can import Message as DbcMessage
 from numpy.typing import NDArray
 
+from can_rig import paged
 from can_rig.decoding.j1939 import (
     GROUP_BIT,
     Transport,
@@ -166,6 +167,17 @@ class Decoder:
                 _count(unknown, some[~whole])
         return {name: found[name] for name in self.messages if name in found}
 
+    def whole(self, batches: Iterable[Frames]) -> dict[str, MessageColumns]:
+        """Every message of all batches, in the order of ``messages``."""
+        parts: dict[str, list[MessageColumns]] = {}
+        for frames in batches:
+            for name, columns in self.decode(frames).items():
+                before = parts.setdefault(name, [])
+                before.append(columns)
+                if sum(map(len, before[1:])) > paged.PAGED_ROWS:
+                    before[:] = [joined(before)]
+        return {name: joined(parts[name]) for name in self.messages if name in parts}
+
 
 def _count(unknown: Counter[str], frames: Frames) -> None:
     """Count frames by their identifiers, as printed."""
@@ -224,12 +236,7 @@ def decode_log(
         database = load_database(database)
     decoder = Decoder(database, messages, signals)
     log = read_log(path, window=window_of(from_s, to_s))
-    parts: dict[str, list[MessageColumns]] = {}
-    for frames in log:
-        for name, columns in decoder.decode(frames).items():
-            parts.setdefault(name, []).append(columns)
-    whole = {name: joined(parts[name]) for name in decoder.messages if name in parts}
-    return DecodedLog(whole, decoder, log.notice)
+    return DecodedLog(decoder.whole(log), decoder, log.notice)
 
 
 def _named(database: Database) -> dict[str, DbcMessage]:

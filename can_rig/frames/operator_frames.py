@@ -211,7 +211,7 @@ def read_applied(message: Message) -> tuple[float, float] | None:
 
 
 class Motion(NamedTuple):
-    """What one ``RIG_MOTION`` says of a car."""
+    """The motion of a car in a ``RIG_MOTION`` frame."""
 
     yaw_rate_rad_per_s: float
     side_slip_rad: float

@@ -29,7 +29,7 @@ def page():
 
 
 def panel(*arguments: str) -> tuple[subprocess.Popen, list[str]]:
-    """``can-rig panel``, and the addresses that it says."""
+    """``can-rig panel``, and the addresses in its output."""
     process = start("panel", *arguments)
     addresses = []
     for line in process.stdout:

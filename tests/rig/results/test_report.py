@@ -1,4 +1,4 @@
-"""``report.png``: what it says, and that every run, however short, gets one without a warning."""
+"""``report.png``: its content, and a picture without a warning of every run, however short."""
 
 from __future__ import annotations
 
