@@ -70,18 +70,6 @@ def test_what_would_not_show_within_the_horizon_says_nothing(before: FaultState)
     assert decided(table, state, -0.5, -1.001 * least) == CLEAR
 
 
-@pytest.mark.parametrize(("correlation", "share"), [(0.3, 0.8), (0.9, 0.9), (2.0, 1.0)])
-def test_a_suspicion_is_of_most_of_the_channel(correlation: float, share: float) -> None:
-    """The suspicion keeps its first share, because the transfer began with this share."""
-    table, state = begun()
-    state.sequential_test.correlation, state.sequential_test.information = correlation, 1.0
-    assert decided(table, state, SUSPECT + 1.0) == SUSPECTED
-    assert state.decision.suspected_share == pytest.approx(share)
-    state.sequential_test.correlation = 0.85
-    assert decided(table, state, SUSPECT + 1.0) == SUSPECTED
-    assert state.decision.suspected_share == pytest.approx(share)
-
-
 def carrying(before: FaultState, **numbers: float) -> tuple[Any, Any]:
     """F̂ has carried 0.2 for some time; the candidate's w of the last tick is 0.5."""
     table, state = begun(before=before)
@@ -96,9 +84,8 @@ def carrying(before: FaultState, **numbers: float) -> tuple[Any, Any]:
 @pytest.mark.parametrize(
     ("before", "evidence", "missed"),
     [
-        (CLEAR, SUSPECT + 1.0, 0.5 - 0.2),  # to the suspected share of all
-        (SUSPECTED, SUSPECT + 1.0, 0.0),  # goes on
-        (SUSPECTED, -0.5, -0.2),  # to nothing
+        (CLEAR, SUSPECT + 1.0, 0.0),
+        (SUSPECTED, -0.5, 0.0),
         (CLEAR, -0.5, 0.0),
         (SUSPECTED, CONFIRM + 1.0, 0.5 - 0.2),
     ],
