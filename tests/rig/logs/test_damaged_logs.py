@@ -13,7 +13,7 @@ from can_rig.logs.frames import (
     concatenate,
 )
 from can_rig.logs.reading import read_log
-from tests.rig.logs.samples import LOG2ASC, PEAK, by_python_can, content, plain
+from tests.rig.logs.samples import by_python_can, content, plain
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".trc"])
@@ -56,26 +56,6 @@ def test_something_else_is_refused_in_one_line(tmp_path: Path, suffix: str, junk
         concatenate(read_log(path))
     assert str(error.value).startswith(str(path))
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        (LOG2ASC.replace("12345678x", "1234G678x"), 5),
-        (LOG2ASC.replace("2A 36", "2A 3G"), 4),
-    ],
-)
-def test_a_damaged_frame_of_a_vector_log_is_named(tmp_path: Path, text: str, line: int) -> None:
-    """python-can passes over it in silence."""
-    (tmp_path / "a.asc").write_text(text, "ascii")
-    with pytest.raises(LogError, match=rf"a.asc: line {line}: "):
-        concatenate(read_log(tmp_path / "a.asc"))
-
-
-def test_a_damaged_frame_of_a_peak_log_is_named(tmp_path: Path) -> None:
-    (tmp_path / "a.trc").write_text(PEAK.replace("8  00 00", "8  0G 00"), "ascii")
-    with pytest.raises(LogError, match=r"a.trc: line 6: "):
-        concatenate(read_log(tmp_path / "a.trc"))
 
 
 def test_a_damaged_binary_log_is_named(tmp_path: Path) -> None:
