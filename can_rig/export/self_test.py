@@ -154,10 +154,10 @@ def _speeds(schedule: Constants) -> FloatArray:
     designs = schedule.speed[: schedule.n].astype(float)
     at = len(designs) // 2
     after = min(at + 1, len(designs) - 1)
-    speeds = np.interp(np.arange(TICKS), FASTER, designs[[at, after]])
+    speeds: FloatArray = np.interp(np.arange(TICKS), FASTER, designs[[at, after]])
     speeds[SLOW] = 0.5 * designs[0]
     speeds[UNMEASURED] = math.nan
-    return speeds[:, np.newaxis]
+    return speeds.reshape(-1, 1)
 
 
 # --- memory as bytes -----------------------------------------------------------------------------
@@ -171,8 +171,8 @@ def leaves(
     for field in fields_of(struct):
         kind, offset, *_ = dtype.fields[field.name]
         if isinstance(field.kind, type):
-            for path, *rest in leaves(field.kind, kind, at + offset):
-                yield (field.name, *path), *rest
+            for path, inner, numbers in leaves(field.kind, kind, at + offset):
+                yield (field.name, *path), inner, numbers
         else:
             yield (field.name,), at + offset, kind
 
@@ -225,7 +225,8 @@ def self_test_data(of: Scheduled, amplitude: float) -> str:
     known, precision = known_answers(of, amplitude), precision_of(of.table)
     blends = of.schedule is not None
     constants = values(Table, of.table)
-    memory, tag = [("", State)], "layout_state"
+    memory: list[tuple[str, type[Struct]]] = [("", State)]
+    tag = "layout_state"
     if of.schedule is not None:
         constants += values(Constants, of.schedule)
         memory, tag = [("state.", State), ("table.", Table), ("blending.", Blending)], MEMORY
