@@ -11,7 +11,8 @@ from typing import Final
 from can_rig.drawing.names import Signal, names_of
 from can_rig.errors import ExportError
 from can_rig.export.c_files import comment, constants_files
-from can_rig.export.law import HEARS, law_files, parts_of, support, zero
+from can_rig.export.law import HEARS, law_files, numbers_of, parts_of, support
+from can_rig.export.self_test import DATA, self_test_data
 from can_rig.folders import Kind, refuse_folder, whole_folder
 from can_rig.frames.codec import MessageCodec, RigLayout
 from can_rig.frames.network import Network
@@ -23,9 +24,12 @@ from firmware_model.law.structs import Precision
 HEADER: Final = "firmware.h"
 """Public header of every export, for inclusion by an application."""
 
-BY_HAND: Final = ("firmware.c", "e2e.h", "e2e.c", "frames.h", "frames.c", "ecu.h", "ecu.c")
+BY_HAND: Final = (
+    "firmware.c", "self_test.h", "self_test.c", "e2e.h", "e2e.c", "frames.h", "frames.c", "ecu.h",
+    "ecu.c",
+)  # fmt: skip
 BENCH: Final = ("bench.h", "bench.c", "harness.h", "harness.c")
-BUILD_FILES: Final = ("Makefile", "CMakeLists.txt", "main.c", "bench_main.c")
+BUILD_FILES: Final = ("Makefile", "CMakeLists.txt", "main.c", "bench_main.c", "check.c")
 IDENTITY_BYTES: Final = 8
 POWERS: Final = str.maketrans({"²": "^2", "³": "^3"})
 """Units in ASCII, for compilers without Unicode."""
@@ -68,7 +72,8 @@ def application(scenario: Scenario) -> dict[str, str]:
         **law,
         **constants_files(of.table, title, of.schedule),
         HEADER: header,
-        **{name: support(name, parts, zero=zero(precision)) for name in BY_HAND},
+        **{name: support(name, parts, **numbers_of(precision)) for name in BY_HAND},
+        DATA: self_test_data(of, scenario.reference.amplitude_mps2 or 1.0),
         "network.c": _network_source(network, scenario),
     }
 
@@ -104,7 +109,7 @@ def exported(scenario: Scenario, precision: Precision | None = None) -> dict[str
     node = application(chosen)
     units = sorted(name for name in node if name.endswith(".c"))
     texts = {
-        "zero": zero(chosen.design.precision),
+        **numbers_of(chosen.design.precision),
         "objects": " \\\n    ".join(f"{name.removesuffix('.c')}.o" for name in units),
         "sources": "\n".join(f"  {name}" for name in units),
     }

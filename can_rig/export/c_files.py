@@ -812,7 +812,7 @@ class _CFiles:
         needed |= self._names.headers(module)
         lines = [f'#include "{module.name}.h"', ""]
         lines += [f'#include "{each}.h"' for each in sorted(needed - {module.name})]
-        lines += ["", *self._names.definitions(module, private=True)]
+        lines += ['#include "rounding.h"', "", *self._names.definitions(module, private=True)]
         for typed in functions:
             storage = ""
             lines.append("")
