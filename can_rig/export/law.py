@@ -83,6 +83,12 @@ def _target_sources() -> Sources:
     return sources
 
 
+def law_modules() -> dict[str, str]:
+    """The full name of each module of the law, by its file's name in C."""
+    found = _target_sources().modules.values()
+    return {module.name: module.namespace.__name__ for module in found}
+
+
 def _records(sources: Sources, *memory: object) -> list[Record]:
     """The types of structs of the target."""
     found = (sources.struct(each) for each in memory)
