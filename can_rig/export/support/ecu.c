@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "self_test.h"
+
 /* Know nothing of the sender; what has been counted stays. */
 static void receiver_begin(struct ecu_receiver *receiver, const struct frame *frame)
 {
@@ -29,13 +31,15 @@ static void begin(struct ecu *ecu)
     ecu->measured = (double)NAN;
 }
 
-void ecu_init(struct ecu *ecu)
+bool ecu_init(struct ecu *ecu)
 {
     (void)memset(ecu, 0, sizeof *ecu);
+    ecu->is_fit = self_test(&ecu->state);
     e2e_protector_init(&ecu->command_1, frame_command_1.data_id);
     e2e_protector_init(&ecu->command_2, frame_command_2.data_id);
     e2e_protector_init(&ecu->status, frame_status.data_id);
     begin(ecu);
+    return ecu->is_fit;
 }
 
 /* Whether the content of a frame may be used: intact, in sequence, and of this tick. */
@@ -117,7 +121,7 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
 bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data,
                   uint32_t now_us)
 {
-    if (!ecu->running && !first_contact(ecu, id, length, data)) {
+    if (!ecu->is_fit || (!ecu->running && !first_contact(ecu, id, length, data))) {
         return false;
     }
     if (id == frame_reference.id) {

@@ -25,7 +25,7 @@ int main(void)
 {
     uint8_t data[8];
 
-    ecu_init(&ecu);
+    (void)ecu_init(&ecu);
     while (Frama_C_nondet(0, 1)) {
         const uint16_t id = (uint16_t)Frama_C_interval(0, 0x7FF);
         const uint8_t length = (uint8_t)Frama_C_interval(0, 8);

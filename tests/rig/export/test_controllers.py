@@ -46,7 +46,7 @@ from can_rig.export.boards import (
     firmware_image,
 )
 from can_rig.export.compiler import shared_library
-from can_rig.export.law import real_header
+from can_rig.export.law import number_headers
 from can_rig.export.trials import random_frames
 from can_rig.frames.codec import Transmitter
 from can_rig.nodes.lockstep import ControllerNode, EcuNode
@@ -137,7 +137,7 @@ def test_a_compiler_that_refuses_is_one_line(
 def test_a_part_of_fast_math_is_refused(flag: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", f"gcc -f{flag}")
     with pytest.raises(ExportError, match=NO_IEEE):
-        shared_library({"real.h": real_header("float32"), "real.c": '#include "real.h"\n'})
+        shared_library({**number_headers("float32"), "real.c": '#include "real.h"\n'})
 
 
 # --- the node ------------------------------------------------------------------------------------
