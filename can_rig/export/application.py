@@ -13,6 +13,7 @@ from can_rig.drawing.names import Signal, names_of
 from can_rig.errors import ExportError
 from can_rig.export.c_files import comment, constants_files, plain
 from can_rig.export.law import HEARS, law_files, numbers_of, parts_of, support
+from can_rig.export.prefix import with_prefix
 from can_rig.export.provenance import with_provenance
 from can_rig.export.self_test import DATA, self_test_data
 from can_rig.folders import Kind, refuse_folder, whole_folder
@@ -94,16 +95,19 @@ def identity(node: Mapping[str, str]) -> bytes:
     return hashlib.sha256(repr(sorted(code.items())).encode()).digest()[:IDENTITY_BYTES]
 
 
-def exported(scenario: Scenario, precision: Precision | None = None) -> dict[str, str]:
+def exported(
+    scenario: Scenario, precision: Precision | None = None, prefix: str | None = None
+) -> dict[str, str]:
     """The whole of a scenario's controller as text by file name.
 
     Args:
         scenario: the scenario.
         precision: of its real numbers; None: the scenario's.
+        prefix: of ``with_prefix``; None: the names as they are.
 
     Raises:
         ScenarioError: the design fails.
-        ExportError: the law is outside the subset that becomes C.
+        ExportError: the law is outside the subset that becomes C, or not a prefix.
     """
     chosen = scenario if precision is None else in_precision(scenario, precision)
     node = application(chosen)
@@ -112,9 +116,11 @@ def exported(scenario: Scenario, precision: Precision | None = None) -> dict[str
         **numbers_of(chosen.design.precision),
         "objects": " \\\n    ".join(f"{name.removesuffix('.c')}.o" for name in units),
         "sources": "\n".join(f"  {name}" for name in units),
+        "prefix": f"{prefix}_" if prefix else "",
     }
     build = {name: support(name, _parts(node), **texts) for name in BUILD_FILES}
-    return with_provenance({**node, **bench(node), **build}, chosen)
+    whole = {**node, **bench(node), **build}
+    return with_provenance(whole if prefix is None else with_prefix(whole, prefix), chosen)
 
 
 def in_precision(scenario: Scenario, precision: Precision) -> Scenario:

@@ -156,16 +156,19 @@ bool ecu_is_overdue(struct ecu *ecu, uint32_t now_us)
     return true;
 }
 
-static void answer(const struct frame *frame, struct e2e_protector *protector, double value,
-                   uint16_t tick, uint8_t status_bits, uint8_t verdict)
+static void answer(const struct ecu *ecu, const struct frame *frame,
+                   struct e2e_protector *protector, double value, uint8_t status_bits,
+                   uint8_t verdict)
 {
     uint8_t data[8] = {0};
 
     data[1] = status_bits;
-    frame_pack(frame, value, tick, data);
+    frame_pack(frame, value, ecu->tick, data);
     data[4] = (uint8_t)(data[4] | verdict);
     e2e_protect(protector, data);
-    ecu_send(frame->id, data);
+    if (ecu->is_fit) {
+        ecu_send(ecu, frame->id, data);
+    }
 }
 
 static void end_tick(struct ecu_receiver *receiver)
@@ -185,9 +188,9 @@ void ecu_on_tick(struct ecu *ecu)
     const uint8_t bits = (uint8_t)((uint32_t)now.mode << frame_status.mode_shift |
                                    (uint32_t)now.fault_state << frame_status.fault_state_shift);
 
-    answer(&frame_command_1, &ecu->command_1, (double)now.command_1, ecu->tick, 0, 0);
-    answer(&frame_command_2, &ecu->command_2, (double)now.command_2, ecu->tick, 0, 0);
-    answer(&frame_status, &ecu->status, (double)now.fault_estimate, ecu->tick, bits,
+    answer(ecu, &frame_command_1, &ecu->command_1, (double)now.command_1, 0, 0);
+    answer(ecu, &frame_command_2, &ecu->command_2, (double)now.command_2, 0, 0);
+    answer(ecu, &frame_status, &ecu->status, (double)now.fault_estimate, bits,
            (uint8_t)now.verdict);
     end_tick(&ecu->reference);
     end_tick(&ecu->feedback);

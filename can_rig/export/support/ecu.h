@@ -82,8 +82,8 @@ void ecu_on_tick(struct ecu *ecu);
 /* How long a tick is. */
 extern const uint32_t ecu_tick_us;
 
-/* Put a frame on the bus: to be provided by the application. */
-void ecu_send(uint16_t id, const uint8_t data[8]);
+/* Put a frame of a node on its bus: to be provided by the application. */
+void ecu_send(const struct ecu *ecu, uint16_t id, const uint8_t data[8]);
 
 #ifdef __cplusplus
 }

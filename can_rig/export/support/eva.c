@@ -15,8 +15,9 @@ float rintf(float x)
     return Frama_C_nondet(0, 1) ? floorf(x) : ceilf(x);
 }
 
-void ecu_send(uint16_t id, const uint8_t data[8])
+void ecu_send(const struct ecu *sender, uint16_t id, const uint8_t data[8])
 {
+    (void)sender;
     (void)id;
     (void)data;
 }

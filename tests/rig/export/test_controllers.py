@@ -279,7 +279,7 @@ DRIVER = """
 #include "ecu.h"
 static void (*sender)(uint16_t, const uint8_t *);
 void set_sender(void (*called)(uint16_t, const uint8_t *)) { sender = called; }
-void ecu_send(uint16_t id, const uint8_t data[8]) { sender(id, data); }
+void ecu_send(const struct ecu *ecu, uint16_t id, const uint8_t *data) { sender(id, data); }
 size_t ecu_size(void) { return sizeof(struct ecu); }
 uint32_t ecu_alive(const struct ecu *ecu) { return ecu->alive; }
 uint32_t ecu_stalls(const struct ecu *ecu) { return ecu->stalls; }

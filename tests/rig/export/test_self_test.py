@@ -181,8 +181,16 @@ def test_a_library_that_fails_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
     wrong = node | {"rounding.h": "", "biquad.c": node["biquad.c"].replace("* y +", "* y -")}
     assert wrong["biquad.c"] != node["biquad.c"]
     monkeypatch.setattr("can_rig.controllers.ecus.application", lambda _: wrong)
+    library = host_library(scenario)
     with pytest.raises(ExportError, match="the self-test of the controller in C failed"):
-        HostEcu(host_library(scenario))
+        HostEcu(library)
+    code, sent = ctypes.CDLL(str(library)), ctypes.create_string_buffer(64)
+    code.harness_size.restype = ctypes.c_size_t
+    ecu = ctypes.create_string_buffer(code.harness_size())
+    code.ecu_init(ecu)
+    code.harness_time(ecu, 0, sent)
+    code.ecu_on_tick(ecu)  # an application that does not look at the answer of ecu_init
+    assert not any(sent.raw)
 
 
 @pytest.mark.parametrize("kind", ["float32", "float64", "drive"])
