@@ -58,6 +58,20 @@ def test_something_else_is_refused_in_one_line(tmp_path: Path, suffix: str, junk
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [
+        ("MDF     4.10    " + "\0" * 1000, "an MDF 4 file that is cut off or damaged"),
+        ("MDF     3.30" + "\0" * 88, "not an MDF 4 file"),
+    ],
+)
+def test_an_mdf_file_without_groups_is_refused(tmp_path: Path, head: str, said: str) -> None:
+    path = tmp_path / "a.mf4"
+    path.write_text(head, "ascii")
+    with pytest.raises(LogError, match=f"^{path}: {said}"):
+        concatenate(read_log(path))
+
+
 def test_a_damaged_binary_log_is_named(tmp_path: Path) -> None:
     path = by_python_can(tmp_path / "a.blf", plain(50))
     data = bytearray(path.read_bytes())
