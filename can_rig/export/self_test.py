@@ -223,29 +223,20 @@ def _spans(tag: str, memory: list[tuple[str, type[Struct]]], precision: Precisio
 def self_test_data(of: Scheduled, amplitude: float) -> str:
     """``self_test_data.c``; the arguments are those of ``known_answers``."""
     known, precision = known_answers(of, amplitude), precision_of(of.table)
-    blends = of.schedule is not None
     constants = values(Table, of.table)
     memory: list[tuple[str, type[Struct]]] = [("", State)]
     tag = "layout_state"
+    spans = {"table": _spans("layout_table", [("", Table)], precision)}
     if of.schedule is not None:
         constants += values(Constants, of.schedule)
         memory, tag = [("state.", State), ("table.", Table), ("blending.", Blending)], MEMORY
-    spans = {
-        "memory": _spans(tag, memory, precision),
-        "table": _spans("layout_table", [("", Table)], precision),
-        **(
-            {"schedule": _spans("schedule_constants", [("", Constants)], precision)}
-            if blends
-            else {}
-        ),
-    }
+        spans["schedule"] = _spans("schedule_constants", [("", Constants)], precision)
+    spans["memory"] = _spans(tag, memory, precision)
     lines = [
         *comment("What the control law in Python answers to stored ticks. Among the answers:"),
         *comment(f"{', '.join(known.seen)}."),
         '#include "self_test.h"', "", "#include <stddef.h>", "",
-        f"const uint32_t self_test_crc_of_constants = 0x{zlib.crc32(constants):08X}u;",
-        f"const uint32_t self_test_crc_of_answers = 0x{known.crc:08X}u;", "",
-        "const struct self_test_part self_test_parts[] = {",
+        "static const struct self_test_part parts[] = {",
         *(
             f"    {{{end - start}, {str(start == RESET).lower()}}},"
             for start, end in pairwise(STARTS)
@@ -253,8 +244,12 @@ def self_test_data(of: Scheduled, amplitude: float) -> str:
         "    {0, false},", "};",
     ]  # fmt: skip
     for what, rows in spans.items():
-        lines += ["", f"const struct self_test_span self_test_{what}[] = {{", *rows, "};"]
-    lines += ["", "const struct self_test_tick self_test_ticks[] = {"]
+        lines += ["", f"static const struct self_test_span {what}[] = {{", *rows, "};"]
+    lines += ["", "static const struct self_test_tick ticks[] = {"]
     for row in known.inputs:
         lines.append(f"    {{{', '.join(number(float(each), precision) for each in row)}}},")
-    return "\n".join([*lines, "};"]) + "\n"
+    lines += ["};", "", "const struct self_test_data self_test_data = {"]
+    lines += [f"    .{each} = {each}," for each in ("ticks", "parts", *spans)]
+    lines += [f"    .crc_of_constants = 0x{zlib.crc32(constants):08X}u,"]
+    lines += [f"    .crc_of_answers = 0x{known.crc:08X}u,", "};"]
+    return "\n".join(lines) + "\n"

@@ -26,12 +26,14 @@ static uint32_t with_real(uint32_t crc, real x)
 {
     bits_of_real bits;
 
-    (void)memcpy(&bits, &x, sizeof bits);
+    (void)memcpy((uint8_t *)&bits, (const uint8_t *)&x, sizeof bits);
     if ((bits & ~SIGN) > INFINITE) {
         bits = INFINITE + 1u; /* any not-a-number */
     }
     for (uint32_t i = 0; i < sizeof bits; i++) {
-        crc = with_byte(crc, (uint32_t)(bits >> (8u * i)) & 0xFFu);
+        const bits_of_real low = bits >> (8u * i) & (bits_of_real)0xFFu;
+
+        crc = with_byte(crc, (uint32_t)low);
     }
     return crc;
 }
@@ -44,20 +46,18 @@ static uint32_t with_int(uint32_t crc, int32_t n)
     return crc;
 }
 
-static uint32_t with_struct(uint32_t crc, const void *memory, const struct self_test_span *span)
+static uint32_t with_struct(uint32_t crc, const uint8_t *bytes, const struct self_test_span *spans)
 {
-    const uint8_t *const bytes = memory;
-
-    for (; span->count > 0; span++) {
+    for (const struct self_test_span *span = spans; span->count > 0u; span++) {
         for (uint32_t i = 0; i < span->count; i++) {
             real x;
             int32_t n;
 
             if (span->is_real) {
-                (void)memcpy(&x, &bytes[span->offset + i * sizeof x], sizeof x);
+                (void)memcpy((uint8_t *)&x, &bytes[span->offset + i * sizeof x], sizeof x);
                 crc = with_real(crc, x);
             } else {
-                (void)memcpy(&n, &bytes[span->offset + i * sizeof n], sizeof n);
+                (void)memcpy((uint8_t *)&n, &bytes[span->offset + i * sizeof n], sizeof n);
                 crc = with_int(crc, n);
             }
         }
@@ -67,12 +67,12 @@ static uint32_t with_struct(uint32_t crc, const void *memory, const struct self_
 
 static bool constants_are_whole(void)
 {
-    uint32_t crc = with_struct(UINT32_MAX, &controller_table, self_test_table);
+    uint32_t crc = with_struct(UINT32_MAX, (const uint8_t *)&controller_table, self_test_data.table);
 
 //: if blends
-    crc = with_struct(crc, &controller_schedule, self_test_schedule);
+    crc = with_struct(crc, (const uint8_t *)&controller_schedule, self_test_data.schedule);
 //: end
-    return (crc ^ UINT32_MAX) == self_test_crc_of_constants;
+    return (crc ^ UINT32_MAX) == self_test_data.crc_of_constants;
 }
 
 //: if blends
@@ -81,13 +81,13 @@ bool self_test(struct firmware_memory *memory)
 bool self_test(struct layout_state *memory)
 //: end
 {
-    const struct self_test_tick *tick = self_test_ticks;
+    const struct self_test_tick *tick = self_test_data.ticks;
     uint32_t crc = UINT32_MAX;
 
     if (!constants_are_whole()) {
         return false;
     }
-    for (const struct self_test_part *part = self_test_parts; part->ticks > 0; part++) {
+    for (const struct self_test_part *part = self_test_data.parts; part->ticks > 0u; part++) {
         if (part->is_reset) {
             firmware_reset(memory, tick->reference);
         } else {
@@ -108,7 +108,7 @@ bool self_test(struct layout_state *memory)
             crc = with_int(crc, answer.verdict);
             tick++;
         }
-        crc = with_struct(crc, memory, self_test_memory);
+        crc = with_struct(crc, (const uint8_t *)memory, self_test_data.memory);
     }
-    return (crc ^ UINT32_MAX) == self_test_crc_of_answers;
+    return (crc ^ UINT32_MAX) == self_test_data.crc_of_answers;
 }

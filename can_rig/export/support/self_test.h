@@ -47,16 +47,20 @@ struct self_test_span {
     bool is_real; /* else int32_t */
 };
 
-/* Python's answers; lists end with an element whose ticks or count are zero. */
-extern const struct self_test_tick self_test_ticks[];
-extern const struct self_test_part self_test_parts[];
-extern const struct self_test_span self_test_memory[];
-extern const struct self_test_span self_test_table[];
+/* Python's answers; each list ends with an element whose ticks or count are zero. */
+struct self_test_data {
+    const struct self_test_tick *ticks;
+    const struct self_test_part *parts;
+    const struct self_test_span *memory; /* the numbers of what self_test gets */
+    const struct self_test_span *table;
 //: if blends
-extern const struct self_test_span self_test_schedule[];
+    const struct self_test_span *schedule;
 //: end
-extern const uint32_t self_test_crc_of_constants;
-extern const uint32_t self_test_crc_of_answers;
+    uint32_t crc_of_constants;
+    uint32_t crc_of_answers;
+};
+
+extern const struct self_test_data self_test_data;
 
 #ifdef __cplusplus
 }
