@@ -5,6 +5,9 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
+from typing import Any
 
 _started: list[subprocess.Popen[str]] = []
 
@@ -40,3 +43,12 @@ def rig(*arguments: object, **options: object) -> subprocess.CompletedProcess[st
     process = start(*arguments, **options)
     out, err = process.communicate(timeout=300)
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+
+def wait_for(condition: Callable[[], Any]) -> Any:
+    """The first true value of ``condition()``; never hangs."""
+    deadline = time.monotonic() + 60.0
+    while not (found := condition()):
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.005)
+    return found

@@ -14,32 +14,12 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from can_rig.drawing.names import unit_of
 from can_rig.scenario.settings import Scenario
 
 MEANINGS = Path(__file__).with_name("scenario_keys.toml")
 PAGE = Path(__file__).parents[1] / "docs" / "scenario-keys.md"
-UNITS = {  # the longest suffix that fits counts
-    "_n_per_rad": "N/rad",
-    "_nms_per_rad": "N m s/rad",
-    "_nm_per_s": "N m/s",
-    "_n_per_s": "N/s",
-    "_rad_per_s": "rad/s",
-    "_per_s": "1/s",
-    "_per_hour": "1/h",
-    "_kgm2": "kg m²",
-    "_kg": "kg",
-    "_mps2": "m/s²",
-    "_mps": "m/s",
-    "_rad": "rad",
-    "_nm": "N m",
-    "_n": "N",
-    "_m": "m",
-    "_s": "s",
-    "_hz": "Hz",
-    "_ticks": "ticks",
-    "_percent": "%",
-    "bitrate": "bit/s",
-}
+OTHER_UNITS = {"ticks": "ticks", "bitrate": "bit/s"}
 HEADER = """\
 # Scenario keys
 
@@ -118,8 +98,7 @@ def one_meaning(key: str, field: dict[str, Any], explained: str | None) -> str:
 
 def unit(key: str) -> str:
     """The unit that the suffix of a key says; empty for a key without one."""
-    fitting = [suffix for suffix in UNITS if key.endswith(suffix)]
-    return UNITS[max(fitting, key=len)] if fitting else ""
+    return OTHER_UNITS.get(key.rpartition("_")[2]) or unit_of(key)
 
 
 def default(field: dict[str, Any]) -> str:

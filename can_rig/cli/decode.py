@@ -8,28 +8,18 @@ from typing import Any, Final
 
 import click
 
-from can_rig.cli.databases import databases_of
-from can_rig.cli.options import (
-    channel_option,
-    dbc_options,
-    force_option,
-    json_option,
-    log_argument,
-    window_options,
-)
+from can_rig.cli.decoding import Asked, decoding_options
+from can_rig.cli.options import force_option, json_option
 from can_rig.cli.output import json_line, note, reading, say, show, table
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.files import Form, Selection, decode_to_files, refuse_output
-from can_rig.logs.frames import Log, window_of
-from can_rig.logs.reading import read_log
-from can_rig.results.run_folder import log_of
+from can_rig.logs.frames import Log
 
 _SHOWN: Final = 5  # unknown identifiers in the table
 
 
 @click.command("decode")
-@log_argument
-@dbc_options
+@decoding_options
 @click.option(
     "--out",
     "outputs",
@@ -50,22 +40,15 @@ _SHOWN: Final = 5  # unknown identifiers in the table
     metavar="NAME",
     help="Only this signal, as Signal or Message.Signal; repeatable.",
 )
-@channel_option
-@window_options
 @click.option("--relative", is_flag=True, help="Count time from the start of the recording.")
 @click.option("--names", is_flag=True, help="Write the words of value tables, not their codes.")
 @force_option
 @json_option("The counts as one JSON object.")
 def command(
-    log: Path,
-    dbc: tuple[str, ...],
-    no_strict: bool,
+    asked: Asked,
     outputs: tuple[Path, ...],
     messages: tuple[str, ...],
     signals: tuple[str, ...],
-    channel: str | None,
-    from_s: float | None,
-    to_s: float | None,
     relative: bool,
     names: bool,
     force: bool,
@@ -76,11 +59,10 @@ def command(
     Prints for every message the number of frames, decoded and undecoded: too short, repeated,
     damaged, unknown.
     """
-    source = read_log(log_of(log) if log.is_dir() else log, window=window_of(from_s, to_s))
-    databases = databases_of(log, dbc, not no_strict)
+    source, databases = asked.log(), asked.databases()
     for path in outputs:
         refuse_output(path, force)
-    selection = Selection(messages or None, signals or None, channel)
+    selection = Selection(messages or None, signals or None, asked.channel)
     form = Form(relative, names, force)
     decoder = decode_to_files(source, databases, selection, outputs, form, reading)
     if as_json:

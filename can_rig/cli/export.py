@@ -33,6 +33,11 @@ from firmware_model.law.structs import Precision
     help="Of every real number.  [default: the scenario's design.precision]",
 )
 @click.option(
+    "--prefix",
+    metavar="NAME",
+    help="Begin every external name with NAME_, so that several exports link into one program.",
+)
+@click.option(
     "--fmu",
     "as_fmu",
     is_flag=True,
@@ -51,6 +56,7 @@ def command(
     settings: tuple[str, ...],
     out: Path,
     precision: Precision | None,
+    prefix: str | None,
     as_fmu: bool,
     report: bool,
     force: bool,
@@ -62,11 +68,12 @@ def command(
     """
     chosen = load(scenario, settings)
     if as_fmu:
-        if report:
-            raise click.UsageError("--fmu and --report do not go together")
+        if report or prefix is not None:
+            option = "--report" if report else "--prefix"
+            raise click.UsageError(f"--fmu and {option} do not go together")
         say(str(write_fmu(in_precision(chosen, precision) if precision else chosen, out, force)))
         return
-    files = exported(chosen, precision)
+    files = exported(chosen, precision, prefix)
     write(files, out, force)
     lines = sum(text.count("\n") for name, text in files.items() if name.endswith((".c", ".h")))
     say(f"{out}: {len(files)} files, {lines} lines of C")

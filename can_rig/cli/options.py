@@ -169,22 +169,6 @@ def json_option(what: str = "The result as one JSON object.") -> Callable[[Funct
     return click.option("--json", "as_json", is_flag=True, help=what)
 
 
-def dbc_options(function: Function) -> Function:
-    """--dbc and --no-strict, for every command that decodes frames."""
-    for decorate in (
-        click.option("--no-strict", is_flag=True, help="Accept a DBC whose signals overlap."),
-        click.option(
-            "--dbc",
-            multiple=True,
-            metavar="[BUS=]FILE",
-            help="A DBC, or another database that cantools reads; of one bus alone with its name "
-            "before it, as in can0=car.dbc.  Repeatable.  [default: the rig's own]",
-        ),
-    ):
-        function = decorate(function)
-    return function
-
-
 def silence_option(default: str) -> Callable[[Function], Function]:
     """--silence, with the ``default`` in the help text."""
     return click.option(

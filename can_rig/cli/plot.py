@@ -9,32 +9,20 @@ from pathlib import Path
 
 import click
 
-from can_rig.cli.databases import databases_of
-from can_rig.cli.options import (
-    channel_option,
-    dbc_options,
-    force_option,
-    log_argument,
-    window_options,
-)
+from can_rig.cli.decoding import Asked, decoding_options
+from can_rig.cli.options import force_option
 from can_rig.cli.output import note, reading, say
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.message_decoder import MessageDecoder
 from can_rig.errors import DbcError, LogError
 from can_rig.files import atomic, refuse_picture
-from can_rig.logs.frames import window_of
-from can_rig.logs.reading import read_log
-from can_rig.results.source import log_path
 from can_rig.views.pictures import plot_page
 from can_rig.views.signal_table import scenario_of
 
 
 @click.command("plot")
-@log_argument
+@decoding_options
 @click.argument("signals", nargs=-1, required=True, metavar="SIGNAL...")
-@dbc_options
-@channel_option
-@window_options
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -43,31 +31,26 @@ from can_rig.views.signal_table import scenario_of
 )
 @force_option
 def command(
-    log: Path,
+    asked: Asked,
     signals: tuple[str, ...],
-    dbc: tuple[str, ...],
-    no_strict: bool,
-    channel: str | None,
-    from_s: float | None,
-    to_s: float | None,
     out: Path | None,
     force: bool,
 ) -> None:
     """Draw SIGNALs of LOG: MESSAGE.Signal, or Signal if a single message has it."""
-    out = out or Path(f"{_bare(log)}.png")
+    out = out or Path(f"{_bare(asked.path)}.png")
     refuse_picture(out, force)
-    databases = databases_of(log, dbc, not no_strict)
+    databases = asked.databases()
     every = Decoder(databases).messages
     wanted = [resolve(every, name) for name in signals]
-    decoder = Decoder(databases, None, {f"{m}.{s}" for m, s in wanted}, channel)
-    source = read_log(log_path(log), window=window_of(from_s, to_s))
+    decoder = Decoder(databases, None, {f"{m}.{s}" for m, s in wanted}, asked.channel)
+    source = asked.log()
     found = decoder.whole(reading(source, "reading"))
     drawn = [pair for pair in wanted if len(found.get(pair[0], ()))]
     absent = sorted({message for message, _ in wanted if not len(found.get(message, ()))})
     if not drawn:
         nothing = decoder.nothing_on_channel or f"no frame of {', '.join(absent)} can be decoded"
         raise LogError(f"{source.path}: {nothing}")
-    run = scenario_of(log) if log.is_dir() else None
+    run = scenario_of(asked.path) if asked.path.is_dir() else None
     page = plot_page(found, drawn, source.start_ns, run)
     with atomic(out, force=force) as part:
         page.savefig(part, dpi=150)

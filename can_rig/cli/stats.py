@@ -9,32 +9,20 @@ from typing import Any, Final
 import click
 
 from can_rig.assessment.frame_length import FrameError
-from can_rig.cli.databases import databases_of
-from can_rig.cli.options import (
-    channel_option,
-    dbc_options,
-    force_option,
-    json_option,
-    log_argument,
-    window_options,
-)
-from can_rig.cli.output import json_line, note, reading, say, table, wide
+from can_rig.cli.decoding import Asked, decoding_options
+from can_rig.cli.options import force_option, json_option
+from can_rig.cli.output import json_line, note, say, table, wide
 from can_rig.decoding.decode import Decoder
 from can_rig.errors import RigError
 from can_rig.files import atomic, refuse_picture
-from can_rig.logs.frames import window_of
-from can_rig.logs.reading import read_log
-from can_rig.results.source import log_path, only_channel, source_of
+from can_rig.results.source import source_of
 from can_rig.views.log_statistics import LogStatistics
 
 USUAL_BITRATE: Final = 500_000
 
 
 @click.command("stats")
-@log_argument
-@dbc_options
-@channel_option
-@window_options
+@decoding_options
 @click.option(
     "--bitrate",
     type=int,
@@ -49,12 +37,7 @@ USUAL_BITRATE: Final = 500_000
 @force_option
 @json_option()
 def command(
-    log: Path,
-    dbc: tuple[str, ...],
-    no_strict: bool,
-    channel: str | None,
-    from_s: float | None,
-    to_s: float | None,
+    asked: Asked,
     bitrate: int | None,
     data_bitrate: int,
     out: Path | None,
@@ -67,15 +50,15 @@ def command(
     """
     if out is not None:
         refuse_picture(out, force)
-    known = _bitrate_of(log) if bitrate is None else bitrate
+    known = _bitrate_of(asked.path) if bitrate is None else bitrate
     bitrate = USUAL_BITRATE if known is None else known
     try:
         statistics = LogStatistics(bitrate, data_bitrate)
     except FrameError as error:
         raise click.UsageError(str(error)) from None
-    source = read_log(log_path(log), window=window_of(from_s, to_s))
-    decoder = Decoder(databases_of(log, dbc, not no_strict))
-    for frames in only_channel(reading(source, "counting"), channel, source.path):
+    source = asked.log()
+    decoder = Decoder(asked.databases())
+    for frames in asked.frames(source, "counting"):
         statistics.add(frames)
         decoder.decode(frames)
     statistics.finish()

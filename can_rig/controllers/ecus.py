@@ -25,7 +25,7 @@ from can_rig.export.boards import (
     emulation,
     frame_order,
 )
-from can_rig.export.compiler import loaded, shared_library
+from can_rig.export.compiler import host_compiler, loaded, shared_library
 from can_rig.frames.codec import FRAME_BYTES
 from can_rig.scenario.settings import Scenario
 
@@ -72,11 +72,16 @@ class HostEcu:
         self._memory = ctypes.create_string_buffer(code.harness_size())
         self._sent = ctypes.create_string_buffer(MOST_SENT * SENT_BYTES)
         self._init = code.ecu_init
+        self._init.restype = ctypes.c_bool
         self.restart()
 
     def restart(self) -> None:
         """See ``Ecu``."""
-        self._init(self._memory)
+        if not self._init(self._memory):
+            raise ExportError(
+                f"{' '.join(host_compiler())}: the self-test of the controller in C failed: "
+                "CC must be a compiler, with options, that computes as Python does"
+            )
 
     def take(self, frame_id: int, data: bytes) -> Sent:
         """See ``Ecu``."""

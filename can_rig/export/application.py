@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +11,11 @@ from typing import Final
 
 from can_rig.drawing.names import Signal, names_of
 from can_rig.errors import ExportError
-from can_rig.export.c_files import comment, constants_files
-from can_rig.export.law import HEARS, law_files, parts_of, support, zero
+from can_rig.export.c_files import comment, constants_files, plain
+from can_rig.export.law import HEARS, law_files, numbers_of, parts_of, support
+from can_rig.export.prefix import with_prefix
+from can_rig.export.provenance import with_provenance
+from can_rig.export.self_test import DATA, self_test_data
 from can_rig.folders import Kind, refuse_folder, whole_folder
 from can_rig.frames.codec import MessageCodec, RigLayout
 from can_rig.frames.network import Network
@@ -23,12 +27,13 @@ from firmware_model.law.structs import Precision
 HEADER: Final = "firmware.h"
 """Public header of every export, for inclusion by an application."""
 
-BY_HAND: Final = ("firmware.c", "e2e.h", "e2e.c", "frames.h", "frames.c", "ecu.h", "ecu.c")
+BY_HAND: Final = (
+    "firmware.c", "self_test.h", "self_test.c", "e2e.h", "e2e.c", "frames.h", "frames.c", "ecu.h",
+    "ecu.c",
+)  # fmt: skip
 BENCH: Final = ("bench.h", "bench.c", "harness.h", "harness.c")
-BUILD_FILES: Final = ("Makefile", "CMakeLists.txt", "main.c", "bench_main.c")
+BUILD_FILES: Final = ("Makefile", "CMakeLists.txt", "main.c", "bench_main.c", "check.c")
 IDENTITY_BYTES: Final = 8
-POWERS: Final = str.maketrans({"²": "^2", "³": "^3"})
-"""Units in ASCII, for compilers without Unicode."""
 
 
 def application(scenario: Scenario) -> dict[str, str]:
@@ -55,7 +60,7 @@ def application(scenario: Scenario) -> dict[str, str]:
         HEADER,
         parts,
         speed=_signal(network.speed) if network.speed else "",
-        scenario=scenario.name,
+        scenario=plain(scenario.name),
         tick=f"{scenario.tick_s * 1e3:g} ms",
         latency=_latency(scenario),
         command_1=_signal(network.command_1, names.command_1, limits.torque_nm),
@@ -68,7 +73,8 @@ def application(scenario: Scenario) -> dict[str, str]:
         **law,
         **constants_files(of.table, title, of.schedule),
         HEADER: header,
-        **{name: support(name, parts, zero=zero(precision)) for name in BY_HAND},
+        **{name: support(name, parts, **numbers_of(precision)) for name in BY_HAND},
+        DATA: self_test_data(of, scenario.reference.amplitude_mps2 or 1.0),
         "network.c": _network_source(network, scenario),
     }
 
@@ -84,35 +90,37 @@ def bench(node: Mapping[str, str]) -> dict[str, str]:
 
 
 def identity(node: Mapping[str, str]) -> bytes:
-    """Identity of a controller: 8 bytes, a hash of the files of its ``application``."""
-    said = repr(sorted(node.items())).encode()
-    return hashlib.sha256(said).digest()[:IDENTITY_BYTES]
+    """Identity of a controller: 8 bytes, a hash of its ``application`` without comments."""
+    code = {name: re.sub(r"/\*.*?\*/", "", text, flags=re.S) for name, text in node.items()}
+    return hashlib.sha256(repr(sorted(code.items())).encode()).digest()[:IDENTITY_BYTES]
 
 
-def exported(scenario: Scenario, precision: Precision | None = None) -> dict[str, str]:
+def exported(
+    scenario: Scenario, precision: Precision | None = None, prefix: str | None = None
+) -> dict[str, str]:
     """The whole of a scenario's controller as text by file name.
 
     Args:
         scenario: the scenario.
         precision: of its real numbers; None: the scenario's.
+        prefix: of ``with_prefix``; None: the names as they are.
 
     Raises:
         ScenarioError: the design fails.
-        ExportError: the law is outside the subset that becomes C.
+        ExportError: the law is outside the subset that becomes C, or not a prefix.
     """
     chosen = scenario if precision is None else in_precision(scenario, precision)
     node = application(chosen)
     units = sorted(name for name in node if name.endswith(".c"))
     texts = {
-        "zero": zero(chosen.design.precision),
+        **numbers_of(chosen.design.precision),
         "objects": " \\\n    ".join(f"{name.removesuffix('.c')}.o" for name in units),
         "sources": "\n".join(f"  {name}" for name in units),
+        "prefix": f"{prefix}_" if prefix else "",
     }
-    return {
-        **node,
-        **bench(node),
-        **{name: support(name, _parts(node), **texts) for name in BUILD_FILES},
-    }
+    build = {name: support(name, _parts(node), **texts) for name in BUILD_FILES}
+    whole = {**node, **bench(node), **build}
+    return with_provenance(whole if prefix is None else with_prefix(whole, prefix), chosen)
 
 
 def in_precision(scenario: Scenario, precision: Precision) -> Scenario:
@@ -169,12 +177,12 @@ def _signal(codec: MessageCodec, signal: Signal | None = None, limit: float | No
     """
     unit, name = codec.unit, codec.signal_name
     if signal is not None:
-        unit = signal.unit.translate(POWERS)
+        unit = signal.unit
         name = f"{signal.name} ({name})" if signal.name else name
     most = codec.maximum if limit is None else min(limit, codec.maximum)
     least = codec.minimum if limit is None else max(-limit, codec.minimum)
     said = f"[{unit}] {name}" if unit else name
-    return f"{said}, {least:.10g}..{most:.10g}, steps of {codec.lsb:g}".replace("*/", "* /")
+    return plain(f"{said}, {least:.10g}..{most:.10g}, steps of {codec.lsb:g}")
 
 
 def _latency(scenario: Scenario) -> str:

@@ -16,7 +16,7 @@ from typing import Final
 from can_rig.errors import ExportError
 from can_rig.export.application import application, bench
 from can_rig.export.compiler import built
-from can_rig.export.law import parts_of, support, zero
+from can_rig.export.law import numbers_of, parts_of, support
 from can_rig.scenario.settings import Scenario
 
 ORDER_BYTES: Final = 12
@@ -85,9 +85,10 @@ def image_of(files: Mapping[str, str], program: str, board: str) -> Path:
     for tool in (COMPILER, EMULATOR):
         if shutil.which(tool) is None:
             raise ExportError(f"{tool} is not installed; it must be (Debian: {DEBIAN})")
-    literal = zero("float32" if "typedef float real;" in files["real.h"] else "float64")
+    single = "typedef float real;" in files["real.h"]
+    numbers = numbers_of("float32" if single else "float64")
     added = (program, "host.h", "host.c", "startup.c", "mps2.ld")
-    around = {name: support(name, parts_of(files), zero=literal) for name in added}
+    around = {name: support(name, parts_of(files), **numbers) for name in added}
     return built([COMPILER], (*FLAGS, *BOARDS[board].flags, *LINKED), {**files, **around}, ".elf")
 
 

@@ -12,6 +12,7 @@ import ast
 import math
 import re
 import textwrap
+import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
@@ -76,9 +77,26 @@ def number(value: float, precision: Precision) -> str:
     return repr(float(value))
 
 
+IN_ASCII: Final = {
+    "²": "^2", "³": "^3", "½": "1/2", "→": "->", "≤": "<=", "·": "*", "Σ": "sum", "ᵀ": "^T",
+    "⁺": "+", "⁻": "^-", "¹": "1", "₁": "1", "\N{COMBINING CIRCUMFLEX ACCENT}": "^",
+    "\N{COMBINING DIAERESIS}": "''",
+}  # fmt: skip
+
+
+def in_ascii(text: str) -> str:
+    """``text`` for tools without Unicode: Greek letters by their names; others become '?'."""
+
+    def letter(found: re.Match[str]) -> str:
+        _, _, greek = unicodedata.name(found[0], "").partition(" LETTER ")
+        return IN_ASCII.get(found[0], greek.lower().replace("lamda", "lambda") or "?")
+
+    return re.sub(r"[^\x00-\x7F]", letter, text)
+
+
 def plain(text: str) -> str:
     """Text of a docstring as text of a comment."""
-    return text.replace("``", "'").replace("*/", "* /").replace("/*", "/ *")
+    return in_ascii(text).replace("``", "'").replace("*/", "* /").replace("/*", "/ *")
 
 
 def comment(text: str, indent: str = "") -> list[str]:
@@ -88,8 +106,11 @@ def comment(text: str, indent: str = "") -> list[str]:
         return []
     if len(lines) == 1 and len(indent) + len(lines[0]) + 6 <= WIDTH:
         return [f"{indent}/* {lines[0]} */"]
-    if len(lines) == 1:
-        lines = textwrap.wrap(lines[0], WIDTH - len(indent) - 3)
+    width = WIDTH - len(indent) - 3
+    lines = "\n\n".join(
+        textwrap.fill(part, width) if max(map(len, part.split("\n"))) > width + 4 else part
+        for part in "\n".join(lines).split("\n\n")
+    ).splitlines()
     body = [f"{indent} * {line}".rstrip() for line in lines[1:]]
     return [f"{indent}/* {lines[0]}", *body, f"{indent} */"]
 
@@ -812,10 +833,10 @@ class _CFiles:
         needed |= self._names.headers(module)
         lines = [f'#include "{module.name}.h"', ""]
         lines += [f'#include "{each}.h"' for each in sorted(needed - {module.name})]
-        lines += ["", *self._names.definitions(module, private=True)]
+        lines += ['#include "rounding.h"', "", *self._names.definitions(module, private=True)]
         for typed in functions:
             storage = ""
-            lines.append("")
+            lines += ["", f"/* {module.path.name}, line {typed.function.tree.lineno} */"]
             if typed.function.c_name not in self._public:
                 lines += [*_answers(typed), *comment(typed.function.docstring)]
                 storage = "static "
@@ -886,7 +907,7 @@ def _members(struct: type[Struct], record: Any, precision: Precision, indent: st
 
 
 def _initialised(field: Field, value: Any, precision: Precision, indent: str) -> Iterator[str]:
-    remark = f" /* {_meaning(field)} */".replace("*/ */", "*/")
+    remark = f" /* {plain(_meaning(field))} */"
     if value.ndim < 2:
         text = f".{name(field.name)} = {_initialiser(field, value, precision)},"
         if len(indent + text + remark) <= WIDTH:
@@ -894,7 +915,7 @@ def _initialised(field: Field, value: Any, precision: Precision, indent: str) ->
         else:
             yield from (indent + remark[1:], *wrapped(text, indent))
         return
-    yield f"{indent}.{name(field.name)} = {{{remark}"
+    yield from with_comment(f"{indent}.{name(field.name)} = {{", _meaning(field), indent)
     for row in _without_last_zeros(value):
         yield from wrapped(f"{_initialiser(field, row, precision)},", indent + INDENT)
     yield f"{indent}}},"

@@ -110,7 +110,7 @@ def _measured(
 
 
 STRICT: Final = ("-std=c99", *WARNINGS, "-O2", "-c")
-BENCH: Final = ("main.c", "bench_main.c", "bench.c", "bench.h", "harness.c", "harness.h")
+BENCH: Final = ("check.c", "main.c", "bench_main.c", "bench.c", "bench.h", "harness.c", "harness.h")
 """Files outside the application: examples and the bench."""
 
 EVA: Final = (

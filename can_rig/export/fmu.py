@@ -13,11 +13,13 @@ from can_rig.drawing.names import names_of
 from can_rig.errors import ExportError
 from can_rig.export.application import BY_HAND, application, identity
 from can_rig.export.compiler import FLAGS, built, host_compiler
-from can_rig.export.law import parts_of, support, zero
+from can_rig.export.law import numbers_of, parts_of, support
 from can_rig.files import atomic
 from can_rig.scenario.settings import Scenario
 
-OF_THE_NODE: Final = {*BY_HAND, "network.c"} - {"firmware.c"}
+OF_THE_NODE: Final = {
+    name for name in (*BY_HAND, "network.c") if name.startswith(("e2e", "frames", "ecu", "network"))
+}
 """Files of an application that a controller without frames does not need."""
 
 TYPES: Final = (
@@ -63,7 +65,7 @@ def write_fmu(scenario: Scenario, folder: Path, force: bool) -> Path:
         tick=f"{scenario.tick_s * 1e3:g} ms",
         tick_s=repr(scenario.tick_s),
         token=token,
-        zero=zero(scenario.design.precision),
+        **numbers_of(scenario.design.precision),
         refused="\n".join(f"ANSWERS(fmi3{function}, FMI_ERROR)" for function in REFUSED),
     )
     library = built(host_compiler(), (*FLAGS, "-fvisibility=hidden"), sources, ".so")

@@ -54,21 +54,23 @@ def parts_of(law: Collection[str]) -> set[str]:
     return {BLENDS} if "schedule.c" in law else set()
 
 
-def zero(precision: Precision) -> str:
-    """The literal 0."""
-    return "0.0f" if precision == "float32" else "0.0"
+def numbers_of(precision: Precision) -> dict[str, str]:
+    """Texts of handwritten files that depend on the precision of real numbers."""
+    if precision == "float32":
+        return {
+            "words": "single", "real": "float", "fabs": "fabsf", "MAX": "FLT_MAX", "zero": "0.0f",
+            "bits": "uint32_t", "infinite": "0xFF", "mantissa": "23",
+        }  # fmt: skip
+    return {
+        "words": "double", "real": "double", "fabs": "fabs", "MAX": "DBL_MAX", "zero": "0.0",
+        "bits": "uint64_t", "infinite": "0x7FF", "mantissa": "52",
+    }  # fmt: skip
 
 
-def real_header(precision: Precision) -> str:
-    """``real.h``: the definition of a real number."""
-    single = precision == "float32"
-    return support(
-        "real.h",
-        words="single" if single else "double",
-        real="float" if single else "double",
-        fabs="fabsf" if single else "fabs",
-        MAX="FLT_MAX" if single else "DBL_MAX",
-    )
+def number_headers(precision: Precision) -> dict[str, str]:
+    """The headers about real numbers, text by file name."""
+    headers = ("real.h", "rounding.h")
+    return {name: support(name, **numbers_of(precision)) for name in headers}
 
 
 def _target_sources() -> Sources:
@@ -79,6 +81,12 @@ def _target_sources() -> Sources:
         if name.startswith(f"{room}."):
             sources.module(name)
     return sources
+
+
+def law_modules() -> dict[str, str]:
+    """The full name of each module of the law, by its file's name in C."""
+    found = _target_sources().modules.values()
+    return {module.name: module.namespace.__name__ for module in found}
 
 
 def _records(sources: Sources, *memory: object) -> list[Record]:
@@ -136,4 +144,4 @@ def law_files(precision: Precision, blends: bool = False) -> dict[str, str]:
     program, entries = law_program(), {f"controller_{name}" for name in ENTRIES}
     memory = _records(program.sources, layout.Table, layout.State)
     found = c_files(program, [each.struct for each in memory], entries, precision)
-    return {**found, "real.h": real_header(precision)}
+    return found | number_headers(precision)

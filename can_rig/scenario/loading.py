@@ -357,13 +357,6 @@ def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
     """
     changed: dict[str, Any] = json.loads(json.dumps(values))
     plant, model = changed.get("plant"), changed.get("model")
-    noise = changed.pop("noise", None)
-    if isinstance(noise, dict) and isinstance(plant, dict):  # of a run folder of version 0.1
-        plant["sensor"] = {"noise_mps2": noise.get("dstar_rms_mps2", 0.0)}
-    own = changed.get("design")
-    if isinstance(own, dict) and not own.get("probe_nm"):  # a run folder of version 0.2 has these
-        for key in ("share_drift", "probe_nm", "probe_rad_per_s"):
-            own.pop(key, None)
     if isinstance(plant, dict) and isinstance(model, dict):
         changed["model"] = _other_than(plant, model)
     for setting in settings:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Annotated, Any, Final, Literal, get_args, get_type_hints
 
@@ -514,6 +514,16 @@ def _other_plant(scenario: Scenario) -> Iterator[str]:
             yield f"{key} = {believed:g}, driven with {true:g}"
         else:
             yield f"model.{key}, driven with another plant.{key}"
+
+
+def leaves(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Each key of ``Scenario.as_dict``, with dots and numbers of a list's tables, and its value."""
+    for key, value in values.items():
+        inner = dict(enumerate(value)) if isinstance(value, list) and key in LISTS else value
+        if isinstance(inner, Mapping):
+            yield from leaves(inner, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
 
 
 def keys(table: type = Scenario, prefix: str = "") -> list[str]:

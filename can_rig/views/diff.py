@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from can_rig import paged
 from can_rig.errors import LogError
-from can_rig.scenario.settings import LISTS, Scenario
+from can_rig.scenario.settings import Scenario, leaves
 from can_rig.views.signal_table import SignalTable, in_s
 from firmware_model.law.structs import FloatArray
 
@@ -36,7 +36,7 @@ def differing_settings(a: Scenario, b: Scenario) -> list[SettingDifference]:
 
     A parameter of ``model`` that is the plant's in both runs is not listed beside the plant's.
     """
-    values_a, values_b = _flat(a), _flat(b)
+    values_a, values_b = dict(leaves(a.as_dict())), dict(leaves(b.as_dict()))
     found = []
     for key in {**values_a, **values_b}:  # a plant's own parameters may occur in one run only
         value, other = values_a.get(key), values_b.get(key)
@@ -54,21 +54,6 @@ def written(value: Any) -> str:
     if value is None:
         return "none"
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _flat(scenario: Scenario) -> dict[str, Any]:
-    return dict(_leaves("", scenario.as_dict()))
-
-
-def _leaves(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(f"{prefix}{key}.", value)
-        elif key in LISTS:
-            numbered = {str(number): fault for number, fault in enumerate(value)}
-            yield from _leaves(f"{prefix}{key}.", numbered)
-        else:
-            yield f"{prefix}{key}", value
 
 
 @dataclass(frozen=True)

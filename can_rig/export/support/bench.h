@@ -14,7 +14,8 @@
 //: end
  *                                                   had each e2e_status (10 numbers of 4 bytes each)
  *     'R', 11 bytes of anything                     8 bytes that say which controller this is; it has
- *                                                   started again, as after power-up
+ *                                                   started again, as after power-up; zeros: its
+ *                                                   self-test failed, and it stays silent
  *
  * Numbers have their low byte first. Bytes before an order that are none of these letters are skipped:
  * 12 zeros end an order that was cut short.

@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "self_test.h"
+
 /* Know nothing of the sender; what has been counted stays. */
 static void receiver_begin(struct ecu_receiver *receiver, const struct frame *frame)
 {
@@ -29,13 +31,15 @@ static void begin(struct ecu *ecu)
     ecu->measured = (double)NAN;
 }
 
-void ecu_init(struct ecu *ecu)
+bool ecu_init(struct ecu *ecu)
 {
     (void)memset(ecu, 0, sizeof *ecu);
+    ecu->is_fit = self_test(&ecu->state);
     e2e_protector_init(&ecu->command_1, frame_command_1.data_id);
     e2e_protector_init(&ecu->command_2, frame_command_2.data_id);
     e2e_protector_init(&ecu->status, frame_status.data_id);
     begin(ecu);
+    return ecu->is_fit;
 }
 
 /* Whether the content of a frame may be used: intact, in sequence, and of this tick. */
@@ -117,7 +121,7 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
 bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data,
                   uint32_t now_us)
 {
-    if (!ecu->running && !first_contact(ecu, id, length, data)) {
+    if (!ecu->is_fit || (!ecu->running && !first_contact(ecu, id, length, data))) {
         return false;
     }
     if (id == frame_reference.id) {
@@ -152,16 +156,19 @@ bool ecu_is_overdue(struct ecu *ecu, uint32_t now_us)
     return true;
 }
 
-static void answer(const struct frame *frame, struct e2e_protector *protector, double value,
-                   uint16_t tick, uint8_t status_bits, uint8_t verdict)
+static void answer(const struct ecu *ecu, const struct frame *frame,
+                   struct e2e_protector *protector, double value, uint8_t status_bits,
+                   uint8_t verdict)
 {
     uint8_t data[8] = {0};
 
     data[1] = status_bits;
-    frame_pack(frame, value, tick, data);
+    frame_pack(frame, value, ecu->tick, data);
     data[4] = (uint8_t)(data[4] | verdict);
     e2e_protect(protector, data);
-    ecu_send(frame->id, data);
+    if (ecu->is_fit) {
+        ecu_send(ecu, frame->id, data);
+    }
 }
 
 static void end_tick(struct ecu_receiver *receiver)
@@ -181,9 +188,9 @@ void ecu_on_tick(struct ecu *ecu)
     const uint8_t bits = (uint8_t)((uint32_t)now.mode << frame_status.mode_shift |
                                    (uint32_t)now.fault_state << frame_status.fault_state_shift);
 
-    answer(&frame_command_1, &ecu->command_1, (double)now.command_1, ecu->tick, 0, 0);
-    answer(&frame_command_2, &ecu->command_2, (double)now.command_2, ecu->tick, 0, 0);
-    answer(&frame_status, &ecu->status, (double)now.fault_estimate, ecu->tick, bits,
+    answer(ecu, &frame_command_1, &ecu->command_1, (double)now.command_1, 0, 0);
+    answer(ecu, &frame_command_2, &ecu->command_2, (double)now.command_2, 0, 0);
+    answer(ecu, &frame_status, &ecu->status, (double)now.fault_estimate, bits,
            (uint8_t)now.verdict);
     end_tick(&ecu->reference);
     end_tick(&ecu->feedback);

@@ -41,6 +41,7 @@ struct ecu {
     uint8_t first_speed[8]; /* its bytes */
     uint8_t first_speed_length;
 //: end
+    bool is_fit;          /* whether the self-test succeeded; else the node takes in no frame */
     bool running;         /* whether the first contact has said which tick it is */
     uint16_t tick;        /* the next one, modulo 65536 */
     double wanted;        /* the value of the last reference that was accepted */
@@ -57,8 +58,10 @@ struct ecu {
 /* Longest standstill of the node whose ticks are made up for, one after the other. */
 #define ECU_MOST_LATE_TICKS 16u
 
-/* Start, as after power-up. */
-void ecu_init(struct ecu *ecu);
+/* Start, as after power-up; whether the self-test of self_test.h succeeds. A node whose test fails
+ * stays silent.
+ */
+bool ecu_init(struct ecu *ecu);
 
 /* Take in a frame that came at 'now_us'; whether it completes the tick, so that ecu_on_tick is due
  * at once.
@@ -79,8 +82,8 @@ void ecu_on_tick(struct ecu *ecu);
 /* How long a tick is. */
 extern const uint32_t ecu_tick_us;
 
-/* Put a frame on the bus: to be provided by the application. */
-void ecu_send(uint16_t id, const uint8_t data[8]);
+/* Put a frame of a node on its bus: to be provided by the application. */
+void ecu_send(const struct ecu *ecu, uint16_t id, const uint8_t data[8]);
 
 #ifdef __cplusplus
 }

@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "firmware.h"
+#include "self_test.h"
 
 #define EXPORT __attribute__((visibility("default")))
 #define FMI_OK 0
@@ -73,6 +73,10 @@ EXPORT void *fmi3InstantiateCoSimulation(
         return NULL;
     }
     struct instance *const self = malloc(sizeof *self);
+    if (self != NULL && !self_test(&self->memory)) {
+        free(self);
+        return NULL;
+    }
     if (self != NULL) {
         start(self);
     }

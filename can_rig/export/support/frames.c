@@ -1,5 +1,7 @@
 #include "frames.h"
 
+#include "rounding.h"
+
 #define NOT_AVAILABLE 0x80000000u /* the lowest number of 32 bits, and of fewer at their top */
 
 static uint32_t to_word(const struct frame *frame, int32_t raw)

@@ -6,10 +6,11 @@ static uint8_t *sent_frames;
 static uint8_t frames;
 static uint32_t now;
 
-void ecu_send(uint16_t id, const uint8_t data[8])
+void ecu_send(const struct ecu *ecu, uint16_t id, const uint8_t data[8])
 {
     uint8_t *const place = &sent_frames[HARNESS_FRAME_BYTES * frames];
 
+    (void)ecu;
     place[0] = (uint8_t)(id & 0xFFu);
     place[1] = (uint8_t)(id >> 8);
     (void)memcpy(&place[2], data, 8);

@@ -1,7 +1,8 @@
 /* Real numbers of the control law: {words} precision, and what C leaves open about them.
  *
  * The law was designed and tested with IEEE 754 arithmetic that rounds after every operation. A
- * compiler must neither reorder nor fuse operations: no -ffast-math, and -ffp-contract=off.
+ * compiler must neither reorder operations, with -ffast-math and its parts, nor fuse operations, as
+ * rounding.h says. self_test.h finds out a compiler that does.
  */
 #ifndef REAL_H
 #define REAL_H
@@ -17,9 +18,6 @@
 #endif
 #if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0
 #error "the control law must be rounded after every operation: FLT_EVAL_METHOD must be 0"
-#endif
-#if defined(__clang__)
-#pragma STDC FP_CONTRACT OFF
 #endif
 
 typedef {real} real;

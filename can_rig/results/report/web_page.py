@@ -29,7 +29,7 @@ from can_rig.results.report.page import apart, compared_with, counterpart, page_
 from can_rig.results.signals import Signals
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import FaultSettings
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import Scenario, leaves
 from firmware_model.law.status import Verdict
 from firmware_model.law.structs import FloatArray
 
@@ -205,7 +205,7 @@ def web_page(
         table(("metric", "value", "unit", "key in run.json"), _in_units(_known(values), names)),
         *_of_faults(faults, names),
         "<details><summary>Scenario</summary>",
-        table(("key", "value"), _leaves(said.as_dict())),
+        table(("key", "value"), _settings(said)),
         "</details>",
     ]
     return page(title, parts, STYLE)
@@ -234,17 +234,10 @@ def _of_faults(faults: list[dict[str, Any]], names: Names) -> Iterator[str]:
         yield table(("fault", "value", "unit", "key in run.json"), _in_units(_known(fault), names))
 
 
+def _settings(scenario: Scenario) -> Iterator[tuple[str, Any]]:
+    for key, value in _known(dict(leaves(scenario.as_dict()))):
+        yield key, Code(value) if isinstance(value, str) else value
+
+
 def _known(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     yield from ((key, value) for key, value in values.items() if value is not None)
-
-
-def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Every set key of the scenario."""
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{key}.")
-        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-            numbered = {str(number): each for number, each in enumerate(value)}
-            yield from _leaves(numbered, f"{prefix}{key}.")
-        elif value is not None:
-            yield f"{prefix}{key}", Code(value) if isinstance(value, str) else value

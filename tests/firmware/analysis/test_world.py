@@ -61,9 +61,9 @@ def at_constant_speed(plant, world, given):
     return np.array(found), np.array(states), pushed
 
 
-def changing(world, given, speed, stages=IMMEDIATE, tick_s=TICK_S, car=TABLE_3_2, left=(1, 1)):
+def changing(world, given, speed, stages=IMMEDIATE, tick_s=TICK_S, left=(1.0, 1.0)):
     """Output and reading of every tick, and what an accelerometer reads at its begin."""
-    made = changing_plant(car, "physics", stages, 40.0, tick_s)
+    made = changing_plant(TABLE_3_2, "physics", stages, 40.0, tick_s)
     n = len(made.b)
     memory = (
         np.zeros(n), np.zeros(n), np.zeros((max(made.dead_ticks) + 2, 2)),
@@ -74,10 +74,7 @@ def changing(world, given, speed, stages=IMMEDIATE, tick_s=TICK_S, car=TABLE_3_2
     for k, u in enumerate(given):
         rows = NO_WORLD if world is None else np.ascontiguousarray(world[k : k + 2])
         forces.append(specific_force(constants, memory[0], speed(k * tick_s), rows))
-        left_1, left_2 = map(float, left)
-        found.append(
-            follow_changing(constants, memory, work, speeds[k], k, *u, left_1, left_2, rows)
-        )
+        found.append(follow_changing(constants, memory, work, speeds[k], k, *u, *left, rows))
     return np.array(found), np.array(forces), memory
 
 
@@ -161,6 +158,15 @@ def test_a_constant_speed_and_road_is_exact(speed, variant):
         )
         found.append(follow_changing(constants, memory, work, speeds[k], k, *u, 1.0, 1.0, rows))
     assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("stages", ALL)
+def test_at_a_constant_speed_without_a_world_it_is_the_sampled_plant(stages):
+    found, *_ = changing(None, commands(), lambda _: 17.0, stages, left=(1.0, 0.5))
+    exact = sample(behind(steer_by_wire(replace(TABLE_3_2, speed_mps=17.0)), *stages), TICK_S)
+    constants, memory = exact.constants, exact.memory
+    expected = [follow(constants, memory, k, *u, 1.0, 0.5) for k, u in enumerate(commands())]
+    assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
 
 def test_what_acts_together_is_the_sum_of_what_acts_alone():

@@ -6,7 +6,7 @@ import pytest
 from firmware_model.design.continuous_design import compensator, inner_outer
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.errors import AxisZeroError, ImproperError, ParameterError
+from firmware_model.errors import ImproperError, ParameterError
 
 S = 1j * np.logspace(-2, 5, 30)
 PRINTED_3_36 = ZeroPoleGain.from_coefficients(
@@ -54,8 +54,3 @@ def test_tau_refused(tau_s: float) -> None:
 def test_alpha_refused(alpha: int) -> None:
     with pytest.raises(ParameterError, match=rf"^alpha = {alpha}: must be an integer >= 1"):
         compensator(chapter_2().g2, 0.001, alpha)
-
-
-def test_axis_zero_refused() -> None:
-    with pytest.raises(AxisZeroError):
-        compensator(ZeroPoleGain((0,), (-1, -2), 1.0), 0.001, 1)

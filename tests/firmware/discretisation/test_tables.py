@@ -15,13 +15,12 @@ from firmware_model.design.continuous_design import (
     DesignSpecification,
     design,
 )
-from firmware_model.design.plants import chapter_2, steer_by_wire
+from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tables import algebraic_loop_gain, build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError, ParameterError
-from firmware_model.law.structs import MAX_LATENCY_TICKS
 from tests.firmware.discretisation.test_coprime import PENDULUM
 
 DESIGN = design(steer_by_wire(), DesignSpecification())
@@ -84,42 +83,7 @@ def test_the_table_is_constant() -> None:
         build(DESIGN, Target(1e-3)).actuator_1.limit = 1.0
 
 
-def test_open_loop_takes_the_reference_on_both_channels() -> None:
-    """(2.40): u = r + F̂ d̂."""
-    table = build(design(chapter_2(), DesignSpecification(feedback=False)), Target(1e-3))
-    assert table.tracking.feedback == 0.0
-    assert table.compensator.reference_share == 1.0
-
-
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        ({"estimator": "euler"}, "estimator"),
-        ({"latency_ticks": -1}, "latency_ticks"),
-        ({"latency_ticks": MAX_LATENCY_TICKS + 1}, "latency_ticks"),
-        ({"limit_1": 0.0}, "limit_1"),
-        ({"limit_2": math.nan}, "limit_2"),
-        ({"noise_rms": -1.0}, "noise_rms"),
-        ({"lsb_1": -1.0}, "lsb_1"),
-        ({"lsb_2": math.inf}, "lsb_2"),
-        ({"false_alarms_per_hour": math.inf}, "false_alarms_per_hour"),
-        ({"suspicions_per_hour": 0.0}, "suspicions_per_hour"),
-        ({"noise_pole": 1.0}, "noise_pole"),
-        ({"rate_1": 0.0}, "rate_1"),
-    ],
-)
-def test_a_target_that_means_nothing_is_refused(change: dict[str, Any], named: str) -> None:
-    with pytest.raises(ParameterError, match=named):
-        Target(1e-3, **change)
-
-
 @pytest.mark.parametrize("tick_s", [0.0, math.nan])
 def test_a_tick_that_is_no_tick_is_refused(tick_s: float) -> None:
     with pytest.raises(ParameterError, match="tick_s"):
         build(DESIGN, Target(tick_s))
-
-
-def test_a_filter_beyond_the_layout_is_refused() -> None:
-    big = design(steer_by_wire(), DesignSpecification(alpha=14))
-    with pytest.raises(ParameterError, match="compensator: order 18"):
-        build(big, Target(1e-3))

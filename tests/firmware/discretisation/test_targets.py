@@ -69,13 +69,3 @@ def test_by_default_it_is_the_thesis_s() -> None:
     assert (target.noise_rms, target.noise_pole, target.resolution) == (0.0, 0.0, 0.0)
     assert target.mismatch.cars == ()
     assert (target.false_alarms_per_hour, target.suspicions_per_hour) == (1e-3, 3600.0)
-
-
-@pytest.mark.parametrize("per_hour", [0.001, 1.0, 3600.0])
-@pytest.mark.parametrize("tick_s", [1e-3, 0.02])
-def test_so_much_evidence_comes_by_chance_so_often_in_an_hour(
-    per_hour: float, tick_s: float
-) -> None:
-    """One candidate begins a tick, and e^-h of them exceed h."""
-    chance = math.exp(-Target(tick_s).evidence(per_hour))
-    assert chance * 3600.0 / tick_s == pytest.approx(per_hour, rel=1e-12)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
+from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.mismatch import Channels, Mismatch, principal_mismatch
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.vehicle import VehicleParameters
@@ -15,6 +17,12 @@ from firmware_model.law.structs import FloatArray, RecordArray
 NOMINAL = VehicleParameters()
 CAR = steer_by_wire(NOMINAL)
 TICK_S = 1e-3
+
+DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
+"""A compensation that is tame enough for noise and other cars."""
+
+NEVER = {"confirm": math.inf, "recover": math.inf, "suspect": math.inf}
+"""Numbers of a decision that is never taken."""
 
 
 def car_at(place: FloatArray) -> VehicleParameters:

@@ -14,11 +14,10 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray
-from tests.firmware.law.cases import CAR, TICK_S, car_at, other_cars
+from tests.firmware.law.cases import CAR, DESIGN, TICK_S, car_at, other_cars
 
 PLANT = sample(CAR, TICK_S)
 FAST = design(CAR, DesignSpecification(tau_s=0.0002, tau_q_s=0.002))
-TAME = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 LOST, BACK, TICKS = 600, 1200, 2400
 CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = FaultState
 
@@ -65,8 +64,8 @@ def test_post_fault_peak_is_at_most_twice_the_unavoidable(latency: int) -> None:
 @pytest.mark.parametrize("latency", [1, 2, 3])
 def test_it_beats_waiting_for_the_estimate(latency: int) -> None:
     """Half the delay around the loop: less error than the thesis's law with the same tuning."""
-    early = drive(confirming(latency), np.ones(TICKS), of=TAME)
-    always = drive(confirming(latency, on_confirmation=False), np.ones(TICKS), of=TAME)
+    early = drive(confirming(latency), np.ones(TICKS), of=DESIGN)
+    always = drive(confirming(latency, on_confirmation=False), np.ones(TICKS), of=DESIGN)
     assert np.abs(early.error[LOST:]).max() < 0.95 * np.abs(always.error[LOST:]).max()
 
 
@@ -88,7 +87,7 @@ def test_without_a_fault_it_never_acts(latency: int, estimator: str, precision: 
 @pytest.mark.parametrize("latency", [0, 1, 3])
 def test_a_loss_in_noise_is_suspected_confirmed_and_compensated(latency: int, rms: float) -> None:
     """The more noise the later: g u1 t²/2 has to stand out of it."""
-    trace = drive(confirming(latency, noise_rms=rms), np.ones(4000), of=TAME, rms=rms)
+    trace = drive(confirming(latency, noise_rms=rms), np.ones(4000), of=DESIGN, rms=rms)
     states = trace.fault_state
     assert not np.isin(states[:LOST], CONFIRMED).any()
     found = LOST + int(np.argmax(states[LOST:] == CONFIRMED))
@@ -103,7 +102,7 @@ def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate() ->
     """Noise alone, at one allowed suspicion a second, gives short suspicions alone."""
     rms, ticks = 0.01, 8000
     target = confirming(1, noise_rms=rms, suspicions_per_hour=3600.0)
-    trace = drive(target, np.sin(np.arange(ticks) * 0.01), left=1.0, of=TAME, rms=rms)
+    trace = drive(target, np.sin(np.arange(ticks) * 0.01), left=1.0, of=DESIGN, rms=rms)
     begin = np.flatnonzero(np.diff((trace.fault_state == SUSPECTED).astype(int)) == 1)
     assert len(begin) <= 8 + 3 * np.sqrt(8)
     assert CONFIRMED not in trace.fault_state
@@ -115,7 +114,7 @@ def test_a_spike_is_suspected_and_moves_no_actuator() -> None:
     """Eleven samples that look like a loss."""
     spike = np.zeros(1600)
     spike[LOST : LOST + 11] = -7e-4 * np.arange(11) ** 2
-    table = build(TAME, confirming(noise_rms=0.01))
+    table = build(DESIGN, confirming(noise_rms=0.01))
     trace = simulate(table, PLANT, np.ones(1600), noise=spike)
     suspected = np.flatnonzero(trace.fault_state == SUSPECTED)
     assert LOST < suspected[0] <= suspected[-1] < LOST + 30
@@ -129,7 +128,7 @@ def test_a_spike_is_suspected_and_moves_no_actuator() -> None:
 @pytest.mark.parametrize("rms", [0.0, 2e-2])
 def test_a_channel_that_comes_back_is_cleared_without_a_bump(latency: int, rms: float) -> None:
     target = confirming(latency, noise_rms=rms)
-    trace = drive(target, np.ones(2 * TICKS), until=BACK, of=TAME, rms=rms)
+    trace = drive(target, np.ones(2 * TICKS), until=BACK, of=DESIGN, rms=rms)
     states = trace.fault_state
     assert (states[LOST + 60 : BACK] == CONFIRMED).all()
     assert CONFIRMED not in states[BACK + 100 :]
@@ -142,7 +141,7 @@ def test_a_channel_that_comes_back_is_cleared_without_a_bump(latency: int, rms: 
 def test_a_reference_through_zero_clears_nothing() -> None:
     """d̂ goes through zero with the command; the loss stays confirmed."""
     reference = np.cos(np.arange(TICKS) * 0.02)
-    trace = drive(confirming(), reference, of=TAME)
+    trace = drive(confirming(), reference, of=DESIGN)
     assert (np.abs(trace.fault_estimate[LOST + 100 :]) < 0.01).any()
     assert (trace.fault_state[LOST + 100 :] == CONFIRMED).all()
 
@@ -158,7 +157,7 @@ def test_a_biased_sensor_is_no_loss() -> None:
     """d̂ = -b, as of a loss, but at once."""
     bias = np.where(np.arange(1200) < LOST, 0.0, -0.1)
     target = confirming(noise_rms=1e-2, on_confirmation=False)
-    trace = simulate(build(TAME, target), PLANT, np.ones(1200), bias=bias)
+    trace = simulate(build(DESIGN, target), PLANT, np.ones(1200), bias=bias)
     assert trace.fault_estimate[LOST] == pytest.approx(0.1, abs=1e-9)
     assert trace.verdict[LOST - 1] == Verdict.NOTHING
     assert (trace.verdict[LOST:] == Verdict.SENSOR_BIASED).all()
@@ -197,12 +196,12 @@ def test_another_car_of_the_box_is_no_loss_and_its_loss_is_found(
     plant = sample(steer_by_wire(car_at(np.array(place))), TICK_S)
     reference = np.where(np.arange(6000) < 3000, np.sin(np.arange(6000) * 0.003), 1.0)
     target = confirming(noise_rms=2e-3, mismatch=other_cars(), reference_acceleration=40.0)
-    healthy = drive(target, reference, left=1.0, of=TAME, plant=plant, rms=2e-3)
+    healthy = drive(target, reference, left=1.0, of=DESIGN, plant=plant, rms=2e-3)
     assert CONFIRMED not in healthy.fault_state
-    lost = drive(target, reference, of=TAME, plant=plant, rms=2e-3)
+    lost = drive(target, reference, of=DESIGN, plant=plant, rms=2e-3)
     assert CONFIRMED in lost.fault_state[LOST : LOST + 400]
     trusting = confirming(noise_rms=2e-3, reference_acceleration=40.0)
-    believed = drive(trusting, reference, left=1.0, of=TAME, plant=plant, rms=2e-3)
+    believed = drive(trusting, reference, left=1.0, of=DESIGN, plant=plant, rms=2e-3)
     assert SUSPECTED in believed.fault_state or CONFIRMED in believed.fault_state
 
 

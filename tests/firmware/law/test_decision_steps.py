@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
@@ -25,9 +24,8 @@ from firmware_model.law.fault_decision.decision import (
 )
 from firmware_model.law.fault_decision.likelihood_ratio import candidate_shown
 from firmware_model.law.fault_decision.loss_model import earlier_shown, loss_output
-from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
+from tests.firmware.law.cases import DESIGN, TICK_S, changed, other_cars
 
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 NUMBERS: dict[str, dict[str, Any]] = {
     "decision": {"confirm": 10.0, "recover": 50.0, "suspect": 4.0, "shown": 100.0},
     "sequential_test": {"share": 0.8, "promising": 4.0, "deviations": 1e9},
@@ -94,10 +92,13 @@ def test_the_state_that_follows_from_the_evidence(before: int, evidence: float, 
     assert state.sequential_test.evidence == (0.0 if taken else evidence)  # else it goes on
 
 
+@pytest.mark.parametrize("before", [CLEAR, SUSPECTED])
 @pytest.mark.parametrize("model_1", [0.99, 1.01, -1.01])
-def test_where_a_loss_would_not_show_within_the_horizon_it_cannot_tell(model_1: float) -> None:
+def test_where_a_loss_would_not_show_within_the_horizon_it_cannot_tell(
+    model_1: float, before: int
+) -> None:
     """100 model_1² against 10 S, S of a car at rest that of the noise."""
-    table, state = begun()
+    table, state = begun(-0.5, before)
     edge = np.sqrt(10.0 * 1e-4 / 100.0)
     assert tick(table, state, model_1=model_1 * edge) == (CANNOT_TELL if model_1 == 0.99 else CLEAR)
     assert state.mismatch.variance == pytest.approx(1e-4, rel=1e-6)

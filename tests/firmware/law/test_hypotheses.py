@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import optimize, signal, stats
 
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
@@ -27,9 +26,8 @@ from firmware_model.law.fault_decision.hypotheses.signatures import (
 )
 from firmware_model.law.fault_decision.mismatch import innovation
 from firmware_model.law.structs import FloatArray, RecordArray
-from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
+from tests.firmware.law.cases import CAR, DESIGN, TICK_S, changed, other_cars
 
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 TICKS = 60
 
 

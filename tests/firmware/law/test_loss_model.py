@@ -10,7 +10,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import signal
 
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin
@@ -36,9 +35,8 @@ from firmware_model.law.filters.estimator import advance_model
 from firmware_model.law.filters.whitener import whiten
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
-from tests.firmware.law.cases import CAR, TICK_S
+from tests.firmware.law.cases import CAR, DESIGN, TICK_S
 
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 COMMANDS = np.cumsum(np.random.default_rng(1).standard_normal(30))
 LATENCIES = [0, 1, 3]
 

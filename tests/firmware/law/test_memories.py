@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
@@ -19,9 +18,8 @@ from firmware_model.law.overflow import clear_memories
 from firmware_model.law.status import FaultState, Mode
 from firmware_model.law.structs import Struct, fields_of
 from firmware_model.law.takeover import end_takeover
-from tests.firmware.law.cases import CAR, TICK_S, other_cars
+from tests.firmware.law.cases import CAR, DESIGN, TICK_S, other_cars
 
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 LATENCY = 3
 
 

@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
@@ -29,9 +28,8 @@ from firmware_model.law.fault_decision.other_cars import (
     show_other_cars,
 )
 from firmware_model.law.structs import RecordArray
-from tests.firmware.law.cases import CAR, TICK_S, changed, covariance_of, other_cars
+from tests.firmware.law.cases import CAR, DESIGN, TICK_S, changed, covariance_of, other_cars
 
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 COLOUR, NOISE_RMS = 0.6, 0.01
 REMAINDER = abs(1.0 - COLOUR * np.exp(-1j * TICK_S / 0.12))  # W at its time constant
 

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from firmware_model.law.fault_decision import mismatch
@@ -99,32 +97,6 @@ def test_a_car_that_has_never_moved_may_be_any() -> None:
     state.extent = state.change = 0.0
     innovation(constants, state, 0.1, 0.0, 0.0)
     np.testing.assert_allclose(state.memory, 1.0 - constants.forgetting)
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@settings(max_examples=25)
-@given(seed=st.integers(0, 2**32 - 1), noise=st.sampled_from([1e-18, 1e-8, 1e-2]),
-       moves=st.sampled_from([0.0, 1e-4, 1.0]))  # fmt: skip
-def test_the_variance_of_an_innovation_is_never_below_that_of_the_noise(
-    seed: int, noise: float, moves: float, precision: Precision
-) -> None:
-    """A car that hardly moves shows the same x for ever, of which more and more is known."""
-    draw = np.random.default_rng(seed)
-    constants, state = begun(precision, noise=noise)
-    of_loss = np.array([0.09, 25.0], precision)
-    learn_loss(state, *of_loss)
-    still, real = 10.0 * draw.standard_normal(MAX_STATES), state.extent.dtype.type
-    for _ in range(200):
-        state.regressor[:] = still * (1.0 + moves * draw.standard_normal(MAX_STATES))
-        state.extent, state.change, state.remainder = 1.0, moves, 0.1 * moves
-        residual, known, share = (
-            real(value) for value in (1e-3 * draw.standard_normal(), 0.0, 0.0)
-        )
-        innovation(constants, state, residual, known, share)
-        assert state.variance >= constants.noise
-        assert (state.covariance.variances >= 0.0).all()
-        assert np.isfinite(state.theta).all()
 
 
 @pytest.mark.parametrize("huge", [1e200, math.inf, math.nan])

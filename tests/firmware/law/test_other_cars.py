@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.mismatch import Mismatch
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
@@ -23,10 +22,7 @@ from firmware_model.law.fault_decision.other_cars import (
 )
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
-from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
-
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
-NEVER = {"confirm": math.inf, "recover": math.inf, "suspect": math.inf}
+from tests.firmware.law.cases import CAR, DESIGN, NEVER, TICK_S, changed, other_cars
 
 
 def table_of(mismatch: Mismatch, latency: int = 0) -> Any:

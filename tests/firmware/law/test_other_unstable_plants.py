@@ -25,11 +25,10 @@ from tests.firmware.discretisation.test_coprime import (
     TICK_S,
     WEAVING,
 )
-from tests.firmware.law.cases import changed
+from tests.firmware.law.cases import NEVER, changed
 
 SPECIFICATION = DesignSpecification(tau_s=0.005, alpha=2, tau_q_s=0.05, alpha_q=3)
 PLANTS = [PENDULUM, WEAVING, SATELLITE, SWINGING]
-NEVER = {"confirm": math.inf, "recover": math.inf, "suspect": math.inf}
 TICKS = 160
 
 

@@ -8,15 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.status import Verdict
-from tests.firmware.law.cases import CAR, TICK_S, changed
-
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
-NEVER = {"confirm": math.inf, "recover": math.inf, "suspect": math.inf}
+from tests.firmware.law.cases import DESIGN, NEVER, TICK_S, changed
 
 
 def started(on_confirmation: bool = True, **changes: float) -> tuple[Any, Any]:

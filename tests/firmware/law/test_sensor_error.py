@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
@@ -24,9 +23,8 @@ from firmware_model.law.fault_decision.hypotheses.signatures import (
 from firmware_model.law.fault_decision.mismatch import innovation
 from firmware_model.law.filters import biquad
 from firmware_model.law.structs import FloatArray
-from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
+from tests.firmware.law.cases import DESIGN, TICK_S, changed, other_cars
 
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 TICKS, FOUND = 60, 25
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
@@ -25,11 +24,10 @@ from firmware_model.law.fault_decision.likelihood_ratio import (
     update_test,
 )
 from firmware_model.law.filters.biquad import advance, at_rest
-from tests.firmware.law.cases import CAR, TICK_S, changed
+from tests.firmware.law.cases import CAR, DESIGN, TICK_S, changed
 
 pytestmark = pytest.mark.every_case  # a case each of few lines
 
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 ABOVE = math.nextafter(1.0, 2.0)
 NUMBERS = {"restart": -1.0, "freshness": 0.1, "needed": 24.0, "promising": 8.0, "deviations": 3.0}
 

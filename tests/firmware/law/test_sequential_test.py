@@ -18,7 +18,6 @@ from scipy import signal, stats
 
 from firmware_model.analysis.sampled_plant import follow_plant, sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.mismatch import TRUSTED, Mismatch
 from firmware_model.discretisation.tables import SHARE, build
 from firmware_model.discretisation.targets import Target
@@ -31,13 +30,11 @@ from firmware_model.law.fault_decision.likelihood_ratio import (
 from firmware_model.law.filters.biquad import output
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray, RecordArray
-from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
+from tests.firmware.law.cases import CAR, DESIGN, NEVER, TICK_S, changed, other_cars
 
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 PLANT = sample(CAR, TICK_S)
 NOISE_RMS = 0.01
-NEVER = {"decision": {"confirm": math.inf, "recover": math.inf, "suspect": math.inf}}
-FOR_EVER = {"sequential_test": {"restart": -math.inf}, **NEVER}
+FOR_EVER = {"sequential_test": {"restart": -math.inf}, "decision": NEVER}
 
 
 @dataclass(frozen=True)
@@ -149,7 +146,7 @@ def test_noise_takes_a_candidate_beyond_h_as_seldom_as_wald_says(
     draw = np.random.default_rng(3)
     white = NOISE_RMS * math.sqrt(1.0 - colour**2) * draw.standard_normal(ticks)
     noise = signal.lfilter([1.0], [1.0, -colour], white)
-    tables = changed(build(DESIGN, target(1, mismatch, noise_pole=colour)), **NEVER)
+    tables = changed(build(DESIGN, target(1, mismatch, noise_pole=colour)), decision=NEVER)
     trace = simulate(tables[0], PLANT, np.sin(0.005 * np.arange(ticks)), noise=noise)
     began = np.flatnonzero(trace.evidence == 0.0)
     largest = np.maximum.reduceat(trace.evidence, began)
@@ -231,7 +228,7 @@ def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency: int
 
 
 def test_evidence_that_overflowed_begins_again() -> None:
-    tables: NDArray[Any] = changed(build(DESIGN, target()), **NEVER)
+    tables: NDArray[Any] = changed(build(DESIGN, target()), decision=NEVER)
     state = controller.init(tables[0])[0]
     state.sequential_test.evidence = math.nan
     controller.step(tables[0], state, 1.0, 0.0)

@@ -13,7 +13,6 @@ from scipy import signal
 
 from firmware_model.analysis.sampled_plant import follow_plant, sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
@@ -30,9 +29,8 @@ from firmware_model.law.fault_decision.mismatch import innovation, predict_misma
 from firmware_model.law.fault_decision.other_cars import advance_other_cars, show_other_cars
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
-from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
+from tests.firmware.law.cases import CAR, DESIGN, TICK_S, changed, other_cars
 
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 PLANT = sample(CAR, TICK_S)
 TICKS, START = 200, 60
 COMMANDS = 40.0 * np.sin(0.05 * np.arange(TICKS)) + 20.0

@@ -21,9 +21,8 @@ from firmware_model.law.filters.biquad import advance
 from firmware_model.law.filters.shortfall import make_up
 from firmware_model.law.filters.tracking import missing_output, track_on
 from firmware_model.law.status import FaultState, Mode
-from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
+from tests.firmware.law.cases import DESIGN, NEVER, TICK_S, changed, other_cars
 
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
 TICKS = 40
 HELD = slice(20, 25)
@@ -63,8 +62,7 @@ def run(table: Any, state: Any, measured: NDArray[Any] = MEASURED) -> Columns:
 
 def of(target: Target, **changes: Any) -> tuple[Any, Any, Filters]:
     """A table that decides nothing, a state at rest, and the filters."""
-    never = {"confirm": math.inf, "suspect": math.inf, "recover": math.inf}
-    table = changed(build(DESIGN, target), decision=never, **changes)[0]
+    table = changed(build(DESIGN, target), decision=NEVER, **changes)[0]
     return table, controller.init(table)[0], discretise(DESIGN, target)
 
 

@@ -17,11 +17,9 @@ from firmware_model.law.filters.biquad import advance, at_rest
 from firmware_model.law.filters.estimator import model_output
 from firmware_model.law.status import FaultState, Mode, Verdict
 from tests.firmware.discretisation.test_coprime import PENDULUM
-from tests.firmware.law.cases import CAR, TICK_S, changed
+from tests.firmware.law.cases import DESIGN, NEVER, TICK_S, changed
 
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 UNSTABLE = design(PENDULUM, DesignSpecification(tau_s=0.005, alpha=2, tau_q_s=0.05, alpha_q=3))
-NEVER = {"confirm": math.inf, "suspect": math.inf, "recover": math.inf}
 OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
 
 

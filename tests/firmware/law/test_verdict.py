@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
@@ -18,11 +17,10 @@ from firmware_model.law.fault_decision.hypotheses.verdict import (
 )
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import RecordArray
-from tests.firmware.law.cases import CAR, TICK_S, changed, covariance_of, other_cars
+from tests.firmware.law.cases import DESIGN, TICK_S, changed, covariance_of, other_cars
 
 pytestmark = pytest.mark.every_case  # a case each of few lines
 
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 TARGET = Target(TICK_S, 1, "zoh", noise_rms=0.01, mismatch=other_cars(2))
 NUMBERS = {
     "hypotheses": {"ahead": 2.0, "sensor_ahead": 3.0, "jump": 5.0, "both_lost": 100.0},

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
@@ -21,11 +20,10 @@ from firmware_model.law.fault_decision.hypotheses.verdict import (
     weigh_hypotheses,
 )
 from firmware_model.law.status import Verdict
-from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
+from tests.firmware.law.cases import DESIGN, TICK_S, changed, other_cars
 
 pytestmark = pytest.mark.every_case  # a case each of few lines
 
-DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 TABLES = changed(build(DESIGN, Target(TICK_S, 1, "zoh", noise_rms=0.01, mismatch=other_cars(2))))
 PLACES = {
     "TORQUE_LOST": "TORQUE_LOST",

@@ -15,7 +15,7 @@ from can_rig.assessment.frame_length import (
     worst_case_bits,
 )
 from can_rig.frames.foreign_frames import FD_LENGTHS
-from tests.rig.assessment.wire import bits_of, classic, flexible, with_stuff_bits
+from tests.rig.assessment.wire import bits_of, classic, flexible
 
 
 def payload(lengths):
@@ -106,21 +106,6 @@ def test_worst_cases_are_those_of_the_paper():
     for length in range(9):
         assert worst_case_bits(length).on_the_bus == 55 + 10 * length
         assert worst_case_bits(length, extended=True).on_the_bus == 80 + 10 * length
-
-
-def most_stuff_bits(count, at_end):
-    """Of any `count` bits, by trying all."""
-    most = 0
-    for number in range(1 << (count - 1)):  # the first bit is that of the start of frame
-        wire = with_stuff_bits(bits_of(number, count))
-        most = max(most, sum(at_end or sent < count for _, sent in wire) - count)
-    return most
-
-
-@pytest.mark.parametrize("count", range(2, 15))
-def test_no_bits_take_more_stuff_bits_than_the_worst_case_allows(count):
-    assert most_stuff_bits(count, at_end=True) == (count - 1) // 4
-    assert most_stuff_bits(count, at_end=False) == (count - 2) // 4
 
 
 @pytest.mark.parametrize("extended", [False, True])

@@ -14,7 +14,7 @@ OF_CAR = {
     "torque_peak_nm": "torque peak in N m",
     "force_difference_settled_n": "force difference settled in N",
     "detection_delay_s": "detection delay in s",
-    "false_alarms_per_hour": "false alarms an hour",
+    "false_alarms_per_hour": "false alarms in 1/h",
 }
 OF_COLUMN = {
     "deviation_peak_after_fault_mps2": "deviation peak after fault in %",

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
+import cantools
 import numpy as np
 from can import Message
 from cantools.database.can import Database, Signal
@@ -216,3 +219,14 @@ SG_MUL_VAL_ 201 S2 S1 0-1;
 SG_MUL_VAL_ 201 S3 S1 2-2, 4-5;
 VAL_ 1024 DoorOpen 0 "closed" 1 "open" 3 "not available" ;
 """
+
+
+def by_cantools(log: Path) -> Iterator[tuple[int, DbcMessage, dict[str, float]]]:
+    """Time stamp [ns], message and values of each frame."""
+    database = cantools.database.load_file(log.with_suffix(".dbc"))
+    for line in log.read_text("ascii").splitlines():
+        stamp, _, frame = line.split()
+        identifier, _, payload = frame.partition("#")
+        message = database.get_message_by_frame_id(int(identifier, 16))
+        values = message.decode(bytes.fromhex(payload), decode_choices=False)
+        yield int(stamp.strip("()").replace(".", "")) * 1000, message, values

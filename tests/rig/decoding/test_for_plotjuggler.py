@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
-import can
-import cantools
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
 
 from tests.helpers import asked
+from tests.rig.decoding.databases import by_cantools
 
 DBC = """\
 VERSION ""
@@ -47,17 +45,6 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
-def by_cantools(log: Path) -> Iterator[tuple[int, str, dict[str, float]]]:
-    """Time in ns, message and values, of each frame."""
-    database = cantools.database.load_file(log.with_suffix(".dbc"))
-    stamps = [line[1:].partition(")")[0] for line in log.read_text("ascii").splitlines()]
-    for stamp, frame in zip(stamps, can.LogReader(log), strict=True):
-        seconds, _, micros = stamp.partition(".")
-        message = database.get_message_by_frame_id(frame.arbitration_id)
-        values = message.decode(frame.data, decode_choices=False)
-        yield int(seconds) * 10**9 + int(micros) * 1000, message.name, values
-
-
 def test_mcap_has_every_frame_as_json(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "a.mcap"
     done = asked("decode", log, "--dbc", log.with_suffix(".dbc"), "--out", out)
@@ -65,8 +52,12 @@ def test_mcap_has_every_frame_as_json(log: Path, tmp_path: Path) -> None:
     with out.open("rb") as file:
         found = list(make_reader(file, validate_crcs=True).iter_messages(log_time_order=False))
     wanted = [
-        (time_ns, name, {key: value for key, value in values.items() if math.isfinite(value)})
-        for time_ns, name, values in by_cantools(log)
+        (
+            time_ns,
+            message.name,
+            {key: value for key, value in values.items() if math.isfinite(value)},
+        )
+        for time_ns, message, values in by_cantools(log)
     ]
     assert [(m.log_time, channel.topic, json.loads(m.data)) for _, channel, m in found] == wanted
     assert {(c.message_encoding, s.encoding) for s, c, _ in found} == {("json", "jsonschema")}
@@ -110,7 +101,7 @@ def test_parquet_has_dates_that_pandas_knows(log: Path, tmp_path: Path) -> None:
     asked("decode", log, "--dbc", log.with_suffix(".dbc"), "--out", tmp_path / "a.parquet")
     path = tmp_path / "a.parquet" / "SPEEDS.parquet"
     table = pd.read_parquet(path)
-    wanted = [time_ns for time_ns, name, _ in by_cantools(log) if name == "SPEEDS"]
+    wanted = [time_ns for time_ns, message, _ in by_cantools(log) if message.name == "SPEEDS"]
     assert str(table["time"].dtype) == "datetime64[ns, UTC]"
     assert table["time"].astype("int64").tolist() == wanted
     assert table["Ratio"].dropna().tolist() == [1.0] * 39

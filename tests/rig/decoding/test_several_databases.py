@@ -15,6 +15,7 @@ from can_rig.decoding.j1939 import group_key
 from can_rig.errors import DbcError
 from can_rig.frames.databases import load_database
 from tests.helpers import asked
+from tests.rig.logs.candump_samples import written
 from tests.rig.logs.messages import from_messages
 
 ONE = 'VERSION ""\nBU_: A\nBO_ 256 {name}: 1 A\n SG_ X : 0|8@1+ ({factor},0) [0|0] "" A\n'
@@ -31,12 +32,6 @@ BA_DEF_DEF_ "VFrameFormat" "J1939PG";
 BA_ "VFrameFormat" BO_ 2565866750 3;
 BA_ "VFrameFormat" BO_ 2565800190 3;
 """
-
-
-def written(folder: Path, text: str, name: str) -> Path:
-    path = folder / name
-    path.write_text(text, "ascii")
-    return path
 
 
 def frame(bus: str, identifier: int, data: bytes, extended: bool = False) -> Message:

@@ -6,16 +6,15 @@ import csv
 from collections.abc import Iterator
 from pathlib import Path
 
-import cantools
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from cantools.database.can import Message
 
 from can_rig.decoding.files import Form, Selection, decode_to_files
 from can_rig.frames.databases import load_database
 from can_rig.logs.frames import Frames, Log
 from can_rig.logs.reading import read_log
+from tests.rig.decoding.databases import by_cantools
 
 MESSAGES, SIGNALS, ROWS = 40, 16, 25
 DATE_S = 1_700_000_000
@@ -54,17 +53,6 @@ def decoded(wide: Path, out: Path, names: bool = False) -> Path:
     database = load_database(wide.with_suffix(".dbc"))
     decode_to_files(log, database, Selection(), [out], Form(names=names), in_pieces)
     return out
-
-
-def by_cantools(wide: Path) -> Iterator[tuple[int, Message, dict[str, float]]]:
-    """Time stamp [ns], message and values of each frame."""
-    database = cantools.database.load_file(wide.with_suffix(".dbc"))
-    for line in wide.read_text("ascii").splitlines():
-        stamp, _, frame = line.split()
-        identifier, _, payload = frame.partition("#")
-        message = database.get_message_by_frame_id(int(identifier, 16))
-        values = message.decode(bytes.fromhex(payload), decode_choices=False)
-        yield int(stamp.strip("()").replace(".", "")) * 1000, message, values
 
 
 def test_parquet_is_a_file_for_each_message(wide: Path, tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ from can_rig.export.boards import (
     firmware_image,
 )
 from can_rig.export.compiler import shared_library
-from can_rig.export.law import real_header
+from can_rig.export.law import number_headers
 from can_rig.export.trials import random_frames
 from can_rig.frames.codec import Transmitter
 from can_rig.nodes.lockstep import ControllerNode, EcuNode
@@ -137,7 +137,7 @@ def test_a_compiler_that_refuses_is_one_line(
 def test_a_part_of_fast_math_is_refused(flag: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", f"gcc -f{flag}")
     with pytest.raises(ExportError, match=NO_IEEE):
-        shared_library({"real.h": real_header("float32"), "real.c": '#include "real.h"\n'})
+        shared_library({**number_headers("float32"), "real.c": '#include "real.h"\n'})
 
 
 # --- the node ------------------------------------------------------------------------------------
@@ -279,7 +279,7 @@ DRIVER = """
 #include "ecu.h"
 static void (*sender)(uint16_t, const uint8_t *);
 void set_sender(void (*called)(uint16_t, const uint8_t *)) { sender = called; }
-void ecu_send(uint16_t id, const uint8_t data[8]) { sender(id, data); }
+void ecu_send(const struct ecu *ecu, uint16_t id, const uint8_t *data) { sender(id, data); }
 size_t ecu_size(void) { return sizeof(struct ecu); }
 uint32_t ecu_alive(const struct ecu *ecu) { return ecu->alive; }
 uint32_t ecu_stalls(const struct ecu *ecu) { return ecu->stalls; }

@@ -14,7 +14,7 @@ import pytest
 from can_rig.errors import ExportError
 from can_rig.export.c_files import c_files
 from can_rig.export.compiler import run
-from can_rig.export.law import real_header
+from can_rig.export.law import number_headers
 from can_rig.export.source import REAL, Record, Sources
 from can_rig.export.subset import Program
 
@@ -74,7 +74,7 @@ def translated(text: str, folder: Path) -> Path:
         files = c_files(program, [struct], {"lines_f"}, "float64")
     finally:
         del sys.modules["lines"]
-    for name, written in (files | {"real.h": real_header("float64")}).items():
+    for name, written in (files | number_headers("float64")).items():
         (folder / name).write_text(written, encoding="utf-8")
     return folder
 

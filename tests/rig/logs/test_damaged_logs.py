@@ -13,7 +13,7 @@ from can_rig.logs.frames import (
     concatenate,
 )
 from can_rig.logs.reading import read_log
-from tests.rig.logs.samples import LOG2ASC, PEAK, by_python_can, content, plain
+from tests.rig.logs.samples import by_python_can, content, plain
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".trc"])
@@ -59,23 +59,17 @@ def test_something_else_is_refused_in_one_line(tmp_path: Path, suffix: str, junk
 
 
 @pytest.mark.parametrize(
-    ("text", "line"),
+    ("head", "said"),
     [
-        (LOG2ASC.replace("12345678x", "1234G678x"), 5),
-        (LOG2ASC.replace("2A 36", "2A 3G"), 4),
+        ("MDF     4.10    " + "\0" * 1000, "an MDF 4 file that is cut off or damaged"),
+        ("MDF     3.30" + "\0" * 88, "not an MDF 4 file"),
     ],
 )
-def test_a_damaged_frame_of_a_vector_log_is_named(tmp_path: Path, text: str, line: int) -> None:
-    """python-can passes over it in silence."""
-    (tmp_path / "a.asc").write_text(text, "ascii")
-    with pytest.raises(LogError, match=rf"a.asc: line {line}: "):
-        concatenate(read_log(tmp_path / "a.asc"))
-
-
-def test_a_damaged_frame_of_a_peak_log_is_named(tmp_path: Path) -> None:
-    (tmp_path / "a.trc").write_text(PEAK.replace("8  00 00", "8  0G 00"), "ascii")
-    with pytest.raises(LogError, match=r"a.trc: line 6: "):
-        concatenate(read_log(tmp_path / "a.trc"))
+def test_an_mdf_file_without_groups_is_refused(tmp_path: Path, head: str, said: str) -> None:
+    path = tmp_path / "a.mf4"
+    path.write_text(head, "ascii")
+    with pytest.raises(LogError, match=f"^{path}: {said}"):
+        concatenate(read_log(path))
 
 
 def test_a_damaged_binary_log_is_named(tmp_path: Path) -> None:

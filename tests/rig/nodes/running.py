@@ -6,8 +6,7 @@ import json
 import os
 import signal
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +15,7 @@ import can
 
 from can_rig.logs.columns import EVIDENCE, VERDICT
 from tests.helpers import start
+from tests.processes import wait_for
 
 FILES = ["bus.log", "bus.plant.csv", "report.html", "report.png", "run.json", "signals.csv"]
 HEADER = (
@@ -55,15 +55,6 @@ def running(folder: Path, *arguments: object) -> Iterator[Running]:
                 os.kill(pid, signal.SIGKILL)
         process.kill()
         process.communicate()
-
-
-def wait_for(condition: Callable[[], Any]) -> Any:
-    """The first true value of ``condition()``; never hangs."""
-    deadline = time.monotonic() + 60.0
-    while not (found := condition()):
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.02)
-    return found
 
 
 def lines_of(log: Path) -> int:

@@ -6,7 +6,8 @@ import time
 import pytest
 
 from tests.helpers import record, rig, start
-from tests.rig.nodes.running import lines_of, one_line, wait_for
+from tests.processes import wait_for
+from tests.rig.nodes.running import lines_of, one_line
 
 
 @pytest.mark.parametrize("first", ["plant", "controller"])

@@ -7,6 +7,7 @@ import time
 import pytest
 
 from tests.helpers import start
+from tests.processes import wait_for
 from tests.rig.nodes.running import (
     LONG,
     alive,
@@ -14,7 +15,6 @@ from tests.rig.nodes.running import (
     lines_of,
     one_line,
     running,
-    wait_for,
     whole_ticks,
 )
 

@@ -13,6 +13,7 @@ from can_rig.cli.main import main
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from tests.helpers import rig, start
+from tests.processes import wait_for
 from tests.rig.nodes.running import (
     LONG,
     alive,
@@ -20,7 +21,6 @@ from tests.rig.nodes.running import (
     one_line,
     running,
     summary_of,
-    wait_for,
 )
 
 

@@ -86,9 +86,9 @@ def test_a_frame_fault_leaves_actuators_and_sensor_alone(kind):
     assert not len(faults.rows(TICKS))
 
 
-def applied(*settings, commands, latency=0):
+def applied(*settings, commands):
     """What acts on the car of ``commands`` of the torque."""
-    scenario = load("thesis-step", [*TIMING, f"latency_ticks={latency}", *settings])
+    scenario = load("thesis-step", [*TIMING, *settings])
     plant = SimulatedPlant(scenario)
     return [plant.advance(k, u, 0.0)["applied_torque_nm"] for k, u in enumerate(commands)]
 

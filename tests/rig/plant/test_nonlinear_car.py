@@ -253,32 +253,6 @@ def test_steady_cornering_is_where_a_root_finder_finds_it(torque, push, friction
     assert car.state == pytest.approx([course, yaw_rate, 0.0, steer], rel=1e-7, abs=1e-9)
 
 
-def test_steady_cornering_without_a_motor_needs_no_front_force():
-    """The wheels align until ξ Yf = 0, so X_diff d_r/2 = l_r Yr: 2989 N for 1 m/s², as linear."""
-    car = NonlinearCar(CAR)
-    push = 2 * CAR.rear_axle_distance_m * CAR.mass_kg / CAR.rear_track_m
-    settled = [car.advance(0.01, 0.0, push) for _ in range(4000)][-1]
-    assert push == pytest.approx(2989.2, abs=0.1)
-    assert settled == pytest.approx(1.0, rel=2e-3)  # cos β is what differs
-
-
-def test_small_commands_make_it_the_linear_car_with_the_square_of_their_size():
-    """The brush's second term is quadratic in the slip; halving the commands leaves a quarter."""
-    commands = np.random.default_rng(3).normal(0.0, [40.0, 400.0], (100, 2))
-
-    def difference(size):
-        nonlinear, linear = NonlinearCar(CAR), LinearPlant(CAR)
-        return max(
-            abs(nonlinear.advance(0.02, *pair) - linear.advance(0.02, *pair))
-            for pair in size * commands
-        )
-
-    differences = [difference(size) for size in (0.1, 0.05, 0.025)]
-    assert differences[0] < 1e-2
-    for coarse, fine in pairwise(differences):
-        assert coarse / fine == pytest.approx(4.0, rel=0.1)
-
-
 def test_the_integration_is_of_order_4():
     """From a state in which no tire passes zero or full slip within the time: smooth throughout."""
     car, start = car_of(CAR), np.array([-0.02, 0.3, 0.1, 0.06])

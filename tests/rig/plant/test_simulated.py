@@ -130,55 +130,6 @@ def test_the_sensor_is_biased_from_its_first_sample_on():
     assert outputs(later, [(0.0, 0.0)] * 4).tolist() == [0.0, 0.0, 0.5, 0.0, 0.0]
 
 
-@pytest.mark.parametrize(("channel", "late"), [("torque", 0), ("force-difference", 1)])
-@pytest.mark.parametrize("latency", [0, 2])
-@pytest.mark.parametrize("at", [0, 20])
-def test_late_by_a_fault_is_a_command_of_some_ticks_ago(channel, late, latency, at):
-    """Of before the run there is none, which is a command of zero."""
-    sequence, ticks = random_commands(60), 3
-    settings = ["fault.kind=actuator-late", f"fault.channel={channel}", f"fault.at_s={at / 1000}"]
-    settings += [f"fault.late_ticks={ticks}", f"latency_ticks={latency}"]
-    delayed = [list(pair) for pair in sequence]
-    for tick in range(max(at - latency, 0), 60):
-        delayed[tick][late] = sequence[tick - ticks][late] if tick >= ticks else 0.0
-    expected = outputs([*HEALTHY, f"latency_ticks={latency}"], delayed)
-    assert (outputs(settings, sequence) == expected).all()
-
-
-@pytest.mark.parametrize("at", [0, 20])
-def test_a_late_sensor_says_what_it_read_some_ticks_ago(at):
-    sequence, ticks = random_commands(60), 3
-    read = outputs(HEALTHY, sequence)
-    expected = read.copy()
-    expected[at:] = np.concatenate([np.zeros(ticks), read])[at : len(read)]
-    settings = ["fault.kind=sensor-late", f"fault.at_s={at / 1000}", f"fault.late_ticks={ticks}"]
-    assert (outputs(settings, sequence) == expected).all()
-
-
-def test_a_stuck_sensor_says_what_it_said_last():
-    sequence = random_commands(60)
-    read = outputs(HEALTHY, sequence)
-    assert (
-        outputs(["fault.kind=sensor-stuck", "fault.at_s=0.02"], sequence)[20:] == read[19]
-    ).all()
-    assert not outputs(["fault.kind=sensor-stuck", "fault.at_s=0"], sequence).any()
-
-
-@pytest.mark.parametrize(
-    ("channel", "left"), [("torque", (0.25, 1.0)), ("force-difference", (1.0, 0.25))]
-)
-def test_what_is_applied_is_what_is_left_of_the_command(channel, left):
-    settings = ["fault.kind=actuator-dead", f"fault.channel={channel}", "fault.left=0.25"]
-    plant = SimulatedPlant(load("thesis-step", [*settings, "fault.at_s=0.001"]))
-    assert plant.applied == (0.0, 0.0)
-    applied = []
-    for tick in range(2):
-        plant.measure()
-        plant.advance(tick, 40.0, 800.0)
-        applied.append(plant.applied)
-    assert applied == [(40.0, 800.0), (40.0 * left[0], 800.0 * left[1])]
-
-
 def test_faults_that_change_are_those_of_the_next_measurement():
     healthy = load("thesis-step", HEALTHY)
     biased = load(
@@ -189,3 +140,20 @@ def test_faults_that_change_are_those_of_the_next_measurement():
     plant.advance(0, 0.0, 0.0)
     plant.change_faults(biased)
     assert plant.measure() == 0.5
+
+
+@pytest.mark.parametrize("kind", ["actuator-late", "sensor-late", "sensor-stuck"])
+@pytest.mark.parametrize("latency", [0, 2])
+def test_what_looks_back_before_the_run_finds_nothing(kind, latency):
+    """``test_faults`` has the same kinds later in a run."""
+    settings = [f"latency_ticks={latency}", "fault.at_s=0", "fault.channel=force-difference"]
+    sequence, healthy = random_commands(60), [*HEALTHY, f"latency_ticks={latency}"]
+    found = outputs([*settings, f"fault.kind={kind}", "fault.late_ticks=3"], sequence)
+    if kind == "actuator-late":
+        forces = [0.0] * 3 + [force for _, force in sequence]
+        delayed = [(torque, force) for (torque, _), force in zip(sequence, forces, strict=False)]
+        expected = outputs(healthy, delayed)
+    else:
+        read = outputs(healthy, sequence)
+        expected = np.concatenate([np.zeros(3), read[:-3]]) if kind == "sensor-late" else 0.0 * read
+    np.testing.assert_array_equal(found, expected)

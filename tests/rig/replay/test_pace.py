@@ -18,34 +18,29 @@ from can_rig.errors import BusError
 from can_rig.logs.frames import Frames
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.replaying.pace import Pacer
+from tests.clock import TurnedClock
 from tests.helpers import asked, start
 from tests.rig.logs.messages import from_messages
 
 HOUR_NS = 3600 * 10**9
 
 
-class TurnedClock:
+class Oversleeping(TurnedClock):
     """Time passes when somebody sleeps, a little longer than asked, and when the bus sends."""
 
     def __init__(self, oversleep_ns: int = 0) -> None:
-        self.time_ns = 12_345
+        super().__init__(12_345)
         self._oversleep_ns = oversleep_ns
 
-    def now_ns(self) -> int:
-        return self.time_ns
-
-    def stamp_s(self) -> float:
-        return self.time_ns * 1e-9
-
     def sleep_until(self, at_ns: int) -> None:
-        assert at_ns > self.time_ns
-        self.time_ns = max(self.time_ns, at_ns) + self._oversleep_ns
+        assert at_ns > self.ns
+        self.ns = at_ns + self._oversleep_ns
 
 
 class Probe(can.BusABC):
     """Notes what is sent and when; takes its time, and refuses as often as it is told."""
 
-    def __init__(self, clock: TurnedClock, cost_ns: int = 0, refuse: int = 0) -> None:
+    def __init__(self, clock: Oversleeping, cost_ns: int = 0, refuse: int = 0) -> None:
         super().__init__("probe")
         self.shutdown()
         self.clock, self.cost_ns, self.refuse = clock, cost_ns, refuse
@@ -61,8 +56,8 @@ class Probe(can.BusABC):
         if self.refuse:
             self.refuse -= 1
             raise can.CanOperationError("no buffer space")
-        self.sent.append((self.clock.time_ns, msg))
-        self.clock.time_ns += self.cost_ns
+        self.sent.append((self.clock.ns, msg))
+        self.clock.ns += self.cost_ns
 
 
 def frames(times_ns: list[int], **kwargs: object) -> Frames:
@@ -82,7 +77,7 @@ def sent_after(bus: Probe) -> list[int]:
 @pytest.mark.parametrize("speed", [Fraction(1), Fraction(2), Fraction(1, 2), Fraction(7, 3)])
 def test_hours_do_not_drift(speed: Fraction) -> None:
     """Every frame is late by what the last sleep was too long, never by the sum of them."""
-    clock = TurnedClock(oversleep_ns=70_000)
+    clock = Oversleeping(oversleep_ns=70_000)
     bus = Probe(clock)
     times = [HOUR_NS * hour + 1_700_000_000 * 10**9 + 333 * hour for hour in range(6)]
     result = Pacer(bus, speed, StopRequest(), clock).send_all(
@@ -105,7 +100,7 @@ def test_no_frame_is_early_none_is_lost_and_the_order_stays(
     times: list[int], speed: Fraction, cost_ns: int
 ) -> None:
     """Whatever the time stamps: a clock that went back sends at once."""
-    clock = TurnedClock()
+    clock = Oversleeping()
     bus = Probe(clock, cost_ns)
     Pacer(bus, speed, StopRequest(), clock).send_all([frames(times)])
     assert [message.data[0] for _, message in bus.sent] == list(range(len(times)))
@@ -118,7 +113,7 @@ def test_no_frame_is_early_none_is_lost_and_the_order_stays(
 
 
 def test_what_others_send_is_taken_off_the_bus() -> None:
-    class Busy(TurnedClock):
+    class Busy(Oversleeping):
         def sleep_until(self, at_ns: int) -> None:
             super().sleep_until(at_ns)
             bus.unread = max(bus.unread, 0) + 10
@@ -130,7 +125,7 @@ def test_what_others_send_is_taken_off_the_bus() -> None:
 
 
 def test_as_fast_as_possible_never_sleeps() -> None:
-    clock = TurnedClock()
+    clock = Oversleeping()
     bus = Probe(clock, 5)
     Pacer(bus, None, StopRequest(), clock).send_all([frames([0, HOUR_NS, 2 * HOUR_NS])])
     assert sent_after(bus) == [0, 5, 10]
@@ -139,20 +134,20 @@ def test_as_fast_as_possible_never_sleeps() -> None:
 def test_a_stop_request_ends_it_within_a_moment() -> None:
     stop = StopRequest()
 
-    class Stopping(TurnedClock):
+    class Stopping(Oversleeping):
         def sleep_until(self, at_ns: int) -> None:
             super().sleep_until(at_ns)
-            stop.wanted = self.time_ns > 10**9
+            stop.wanted = self.ns > 10**9
 
     clock = Stopping()
     bus = Probe(clock)
     result = Pacer(bus, Fraction(1), stop, clock).send_all([frames([0, HOUR_NS])])
     assert result.sent == 1
-    assert clock.time_ns < 1.2 * 10**9
+    assert clock.ns < 1.2 * 10**9
 
 
 def test_a_bus_that_refuses_for_a_while_loses_nothing_and_one_that_goes_on_is_named() -> None:
-    clock = TurnedClock()
+    clock = Oversleeping()
     bus = Probe(clock, refuse=20)
     assert Pacer(bus, None, StopRequest(), clock).send_all([frames([0, 1])]).sent == 2
     bus = Probe(clock, refuse=10**9)
@@ -161,7 +156,7 @@ def test_a_bus_that_refuses_for_a_while_loses_nothing_and_one_that_goes_on_is_na
 
 
 def test_what_cannot_be_sent_is_counted() -> None:
-    clock = TurnedClock()
+    clock = Oversleeping()
     bus = Probe(clock)
     errors = from_messages([Message(is_error_frame=True), Message(arbitration_id=3)])
     result = Pacer(bus, None, StopRequest(), clock).send_all([errors, frames([0, 1], is_fd=True)])

@@ -86,19 +86,3 @@ def test_a_sensor_slower_than_the_tracking_is_refused(key, table):
 def test_ideal_is_the_default():
     assert Scenario("any").plant.stages == Scenario("any").model.stages
     assert all(stage.dead_time_s == stage.lag_s == 0.0 for stage in Scenario("any").plant.stages)
-
-
-def test_the_noise_of_a_run_folder_of_version_0_1_is_that_of_the_sensor():
-    values = load("noisy").as_dict()
-    del values["plant"]["sensor"], values["model"]["sensor"]
-    values["noise"] = {"dstar_rms_mps2": 0.005}
-    assert load_run(values) == load("noisy")
-
-
-def test_what_a_run_folder_of_version_0_2_did_without_is_left_out_and_a_probe_is_refused():
-    values = load("noisy").as_dict()
-    values["design"] |= {"share_drift": 1.0, "probe_nm": 0.0, "probe_rad_per_s": 10.0}
-    assert load_run(values) == load("noisy")
-    values["design"]["probe_nm"] = 2.0
-    with pytest.raises(ScenarioError, match=r"design\.share_drift: unknown key"):
-        load_run(values)

@@ -3,7 +3,6 @@
 import contextlib
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -48,13 +47,6 @@ def frame(number: int, **kwargs: Any) -> can.Message:
 def number(msg: can.Message | None) -> int:
     assert msg is not None
     return int.from_bytes(msg.data, "little")
-
-
-def wait_for(condition: Any) -> None:
-    deadline = time.monotonic() + TIMEOUT_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.001)
 
 
 def sockets(root: Path) -> list[Path]:

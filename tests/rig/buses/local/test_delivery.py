@@ -7,7 +7,8 @@ import can
 import pytest
 
 from can_rig.buses.local.bus import LocalBus
-from tests.rig.buses.local.nodes import TIMEOUT_S, buses, frame, node, number, wait_for
+from tests.processes import wait_for
+from tests.rig.buses.local.nodes import TIMEOUT_S, buses, frame, node, number
 
 
 def test_burst_of_20000_before_the_first_recv_in_one_thread() -> None:

@@ -11,7 +11,8 @@ import can
 import pytest
 
 from can_rig.buses.local import bus as local_bus
-from tests.rig.buses.local.nodes import TIMEOUT_S, buses, frame, node, number, sockets, wait_for
+from tests.processes import wait_for
+from tests.rig.buses.local.nodes import TIMEOUT_S, buses, frame, node, number, sockets
 
 
 @pytest.mark.parametrize("burst", [0, 1000], ids=["idle", "backlogged"])

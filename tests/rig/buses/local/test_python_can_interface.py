@@ -13,13 +13,13 @@ import can
 import pytest
 
 from can_rig.buses.local.bus import LocalBus
+from tests.processes import wait_for
 from tests.rig.buses.local.nodes import (
     TIMEOUT_S,
     buses,
     frame,
     number,
     sockets,
-    wait_for,
 )
 
 

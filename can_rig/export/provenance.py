@@ -1,0 +1,82 @@
+"""Where each exported file comes from, and the files that repeat and check the export."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+import tomli_w
+
+from can_rig.errors import ScenarioError
+from can_rig.export.c_files import comment
+from can_rig.export.law import law_modules
+from can_rig.scenario.build import dbc_of
+from can_rig.scenario.loading import FILES, written_by
+from can_rig.scenario.settings import Scenario
+
+MANIFEST: Final = "manifest.sha256"
+"""SHA-256 and name of every other file, as ``sha256sum --check`` reads them."""
+
+PROJECT: Final = "fault-tolerant-steering"
+
+
+def with_provenance(texts: Mapping[str, str], scenario: Scenario) -> dict[str, str]:
+    """The files of an export with their origin, the scenario as a file, and the manifest.
+
+    Exporting the scenario's file again gives the same files.
+
+    Args:
+        texts: text by file name.
+        scenario: the exported scenario.
+
+    Raises:
+        ScenarioError: no file gives the scenario.
+    """
+    name, inputs = f"{scenario.name}.toml", _scenario_files(scenario)
+    at, found = hashlib.sha256(inputs[name].encode()).hexdigest(), dict(inputs)
+    origins = _origins(scenario)
+    for file, text in texts.items():
+        origin = origins.get(file.rpartition(".")[0], f"can_rig/export/support/{file}")
+        lines = [
+            "SPDX-License-Identifier: MIT",
+            f"From {origin} by {PROJECT} {version(PROJECT)}.",
+            f"SHA-256 of {name}: {at}",
+        ]
+        if file.endswith((".c", ".h")):
+            found[file] = "\n".join([*comment("\n".join(lines)), text])
+        else:
+            found[file] = "".join(f"# {line}\n" for line in lines) + text
+    hashes = (
+        f"{hashlib.sha256(found[each].encode()).hexdigest()}  {each}\n" for each in sorted(found)
+    )
+    return found | {MANIFEST: "".join(hashes)}
+
+
+def _origins(scenario: Scenario) -> dict[str, str]:
+    """The source of each file that is not handwritten C, by the name without suffix."""
+    return {
+        **{name: f"{module.replace('.', '/')}.py" for name, module in law_modules().items()},
+        "constants": "firmware_model/discretisation/tables.py",
+        "network": f"dbc/{dbc_of(scenario).name}",
+        "self_test_data": "can_rig/export/self_test.py",
+    }
+
+
+def _scenario_files(scenario: Scenario) -> dict[str, str]:
+    """The scenario as TOML, and the CSV files that the scenario names, by file name."""
+    values: dict[str, Any] = written_by(scenario)
+    found = {}
+    for table, key, _ in FILES:
+        path = Path(str(values.get(table, {}).get(key, "")))
+        if path.suffix.lower() == ".csv":
+            try:
+                found[path.name] = path.read_text(encoding="utf-8")
+            except (OSError, UnicodeDecodeError) as error:
+                raise ScenarioError(
+                    f"{table}.{key} = {str(path)!r}: cannot be read: {error}"
+                ) from None
+            values[table][key] = path.name
+    return {**found, f"{scenario.name}.toml": tomli_w.dumps(values)}

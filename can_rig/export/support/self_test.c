@@ -1,0 +1,114 @@
+#include "self_test.h"
+
+#include <string.h>
+
+#include "constants.h"
+
+typedef {bits} bits_of_real;
+
+#define SIGN ((bits_of_real)1 << (8u * sizeof(bits_of_real) - 1u))
+#define INFINITE ((bits_of_real){infinite}u << {mantissa})
+
+static uint32_t with_byte(uint32_t crc, uint32_t byte)
+{
+    static const uint32_t of_nibble[16] = {
+        0x00000000u, 0x1DB71064u, 0x3B6E20C8u, 0x26D930ACu, 0x76DC4190u, 0x6B6B51F4u,
+        0x4DB26158u, 0x5005713Cu, 0xEDB88320u, 0xF00F9344u, 0xD6D6A3E8u, 0xCB61B38Cu,
+        0x9B64C2B0u, 0x86D3D2D4u, 0xA00AE278u, 0xBDBDF21Cu,
+    };
+
+    crc ^= byte;
+    crc = crc >> 4 ^ of_nibble[crc & 0xFu];
+    return crc >> 4 ^ of_nibble[crc & 0xFu];
+}
+
+static uint32_t with_real(uint32_t crc, real x)
+{
+    bits_of_real bits;
+
+    (void)memcpy((uint8_t *)&bits, (const uint8_t *)&x, sizeof bits);
+    if ((bits & ~SIGN) > INFINITE) {
+        bits = INFINITE + 1u; /* any not-a-number */
+    }
+    for (uint32_t i = 0; i < sizeof bits; i++) {
+        const bits_of_real low = bits >> (8u * i) & (bits_of_real)0xFFu;
+
+        crc = with_byte(crc, (uint32_t)low);
+    }
+    return crc;
+}
+
+static uint32_t with_int(uint32_t crc, int32_t n)
+{
+    for (uint32_t i = 0; i < sizeof n; i++) {
+        crc = with_byte(crc, ((uint32_t)n >> (8u * i)) & 0xFFu);
+    }
+    return crc;
+}
+
+static uint32_t with_struct(uint32_t crc, const uint8_t *bytes, const struct self_test_span *spans)
+{
+    for (const struct self_test_span *span = spans; span->count > 0u; span++) {
+        for (uint32_t i = 0; i < span->count; i++) {
+            real x;
+            int32_t n;
+
+            if (span->is_real) {
+                (void)memcpy((uint8_t *)&x, &bytes[span->offset + i * sizeof x], sizeof x);
+                crc = with_real(crc, x);
+            } else {
+                (void)memcpy((uint8_t *)&n, &bytes[span->offset + i * sizeof n], sizeof n);
+                crc = with_int(crc, n);
+            }
+        }
+    }
+    return crc;
+}
+
+static bool constants_are_whole(void)
+{
+    uint32_t crc = with_struct(UINT32_MAX, (const uint8_t *)&controller_table, self_test_data.table);
+
+//: if blends
+    crc = with_struct(crc, (const uint8_t *)&controller_schedule, self_test_data.schedule);
+//: end
+    return (crc ^ UINT32_MAX) == self_test_data.crc_of_constants;
+}
+
+//: if blends
+bool self_test(struct firmware_memory *memory)
+//: else
+bool self_test(struct layout_state *memory)
+//: end
+{
+    const struct self_test_tick *tick = self_test_data.ticks;
+    uint32_t crc = UINT32_MAX;
+
+    if (!constants_are_whole()) {
+        return false;
+    }
+    for (const struct self_test_part *part = self_test_data.parts; part->ticks > 0u; part++) {
+        if (part->is_reset) {
+            firmware_reset(memory, tick->reference);
+        } else {
+            firmware_init(memory);
+        }
+        for (uint32_t i = 0; i < part->ticks; i++) {
+//: if blends
+            firmware_change_speed(memory, tick->speed);
+//: end
+            const struct firmware_answer answer =
+                firmware_step(memory, tick->reference, tick->measurement);
+
+            crc = with_real(crc, answer.command_1);
+            crc = with_real(crc, answer.command_2);
+            crc = with_real(crc, answer.fault_estimate);
+            crc = with_int(crc, answer.mode);
+            crc = with_int(crc, answer.fault_state);
+            crc = with_int(crc, answer.verdict);
+            tick++;
+        }
+        crc = with_struct(crc, (const uint8_t *)memory, self_test_data.memory);
+    }
+    return (crc ^ UINT32_MAX) == self_test_data.crc_of_answers;
+}

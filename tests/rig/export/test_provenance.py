@@ -1,0 +1,94 @@
+"""What an export says of its origin, each claim followed up."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import firmware_model
+from can_rig.assessment.resolve import load
+from can_rig.cli.main import main
+from can_rig.export.application import application, exported, identity
+from can_rig.export.provenance import MANIFEST
+from tests.rig.export.conftest import Built
+from tests.rig.export.shared import run
+
+PROJECT = Path(firmware_model.__file__).parents[1]
+WRITTEN = {
+    "default": [],
+    "wltc": ['design.precision="float32"'],
+    "pendulum": ["plant.input_2.name='Stütze'"],
+}
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_the_scenario_in_the_folder_gives_the_folder_again(name: str, tmp_path: Path) -> None:
+    """Also where the scenario reads a drive from a file."""
+    settings = [part for each in WRITTEN[name] for part in ("--set", each)]
+    first, again = tmp_path / "first", tmp_path / "again"
+    for source, out in (([name, *settings], first), ([str(first / f"{name}.toml")], again)):
+        done = CliRunner().invoke(main, ["export", *source, "--out", str(out)])
+        assert done.exit_code == 0, done.output
+    assert {each.name: each.read_bytes() for each in first.iterdir()} == {
+        each.name: each.read_bytes() for each in again.iterdir()
+    }
+    assert str(PROJECT) not in "".join(each.read_text("utf-8") for each in first.iterdir())
+
+
+def test_the_manifest_lists_every_file(built: Built, tmp_path: Path) -> None:
+    files = exported(load("default", []))
+    for name, text in files.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    assert run("sha256sum", "--check", MANIFEST, cwd=tmp_path).count(": OK") == len(files) - 1
+    with (tmp_path / "biquad.c").open("a") as source:
+        source.write("\n")
+    with pytest.raises(AssertionError, match="WARNING: 1 computed checksum did NOT match"):
+        run("sha256sum", "--check", MANIFEST, cwd=tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["float32", "drive"])
+def test_each_file_and_each_function_name_their_origin(kind: str, built: Built) -> None:
+    folder = built(kind)
+    (scenario,) = folder.glob("*.toml")
+    of_scenario = hashlib.sha256(scenario.read_bytes()).hexdigest()
+    functions = 0
+    for path in [*folder.glob("*.[ch]"), folder / "Makefile", folder / "CMakeLists.txt"]:
+        text = path.read_text(encoding="ascii")
+        head = text.splitlines()[:4]
+        assert head[0].endswith("SPDX-License-Identifier: MIT")
+        origin = re.fullmatch(r"[ *#]+From (\S+) by fault-tolerant-steering (\S+)\.", head[1])
+        assert origin is not None, path
+        assert origin[2] == version("fault-tolerant-steering")
+        source = PROJECT / origin[1]
+        assert source.is_file()
+        assert head[2].endswith(of_scenario)
+        found = re.findall(
+            r"^/\* (\w+\.py), line (\d+) \*/\n(?:/\*.*?\*/\n)?(.*?)\(", text, flags=re.M | re.S
+        )
+        if source.suffix == ".py" and path.suffix == ".c" and "firmware_model/law" in origin[1]:
+            defined = re.findall(
+                r"^(?!/|#| |\}|\{|const|struct \w+ \{).*?\b(\w+)\(", text, flags=re.M
+            )
+            assert [re.findall(r"\w+", declared)[-1] for *_, declared in found] == defined
+        for name, line, declared in found:
+            assert name == source.name
+            python = source.read_text("utf-8").splitlines()[int(line) - 1]
+            function = re.findall(r"\w+", declared)[-1]
+            assert python.startswith(f"def {function.removeprefix(f'{source.stem}_')}(")
+            functions += 1
+    assert functions > 100
+
+
+def test_comments_are_no_part_of_a_controllers_identity() -> None:
+    """A moved line of Python makes no other controller; another number does."""
+    node = application(load("default", []))
+    moved = {name: re.sub(r", line \d+ ", ", line 1 ", text) for name, text in node.items()}
+    assert moved != node
+    assert identity(moved) == identity(node)
+    other = node | {"biquad.c": node["biquad.c"].replace("[i][1] * u -", "[i][1] * u +")}
+    assert identity(other) != identity(node)
