@@ -369,7 +369,7 @@ def _print_comparison(source: Source, loop: OpenLoop, listed: list[Gap], gaps: P
     if loop.account.counts:
         console.print()
         console.print(_count_table(loop))
-        _list(console, loop, listed, gaps)
+        _list(console, listed, gaps)
     console.print()
     for line in _verdict(loop):
         console.print(line, markup=False)
@@ -415,7 +415,7 @@ def _no_wrap(rows: Table) -> Table:
     return rows
 
 
-def _list(console: Console, loop: OpenLoop, listed: list[Gap], gaps: Path | None) -> None:
+def _list(console: Console, listed: list[Gap], gaps: Path | None) -> None:
     console.print()
     rows = _no_wrap(table("tick", "at s", "message", "what"))
     rows.columns[0].justify = "right"

@@ -120,7 +120,7 @@ def _print(found: Tunings, picture: Path) -> None:
         chosen = tuning is found.chosen
         tunings.add_row(">" if chosen else "", *cells, style="bold" if chosen else None)
     show(tunings)
-    say(f"chosen: {why(found)}", options(found, found.chosen), f"picture  {picture}")
+    say(f"chosen: {why(found)}", options(found.chosen), f"picture  {picture}")
 
 
 def _tell_refusals(error: NoTuningError, as_json: bool) -> None:

@@ -27,7 +27,7 @@ from can_rig.errors import DbcError, LogError, ScenarioError
 from can_rig.frames.databases import load_for
 from can_rig.logs.frames import NS_PER_S
 from can_rig.results.source import Reading, Source
-from can_rig.scenario.log_signals import ROLES, LogSignal, known_units, terms, unit_factor
+from can_rig.scenario.log_signals import ROLES, LogSignal, terms, unit_factor
 from can_rig.scenario.settings import MAX_TICKS, Scenario
 from firmware_model.design.vehicle import dstar
 from firmware_model.law.structs import FloatArray
@@ -154,7 +154,7 @@ def recorded_drive(
     databases = _databases(scenario, dbc, [each for of in wanted.values() for each in of])
     decoded = _decode(source, databases, wanted, reading)
     samples = tuple(
-        _samples(scenario, source.log.path, databases, decoded, role, each, max_age_s)
+        _samples(scenario, source.log.path, decoded, role, each, max_age_s)
         for role, of in wanted.items()
         for each in of
     )
@@ -188,7 +188,7 @@ def _decode(
     """The columns of the wanted messages, by bus and message."""
     used = [each for of in wanted.values() for each in of]
     for each in used:
-        _require(source, databases, wanted, each)
+        _require(databases, wanted, each)
     decoders: dict[str, Decoder | None] = {}
     parts: dict[tuple[str, str], list[MessageColumns]] = defaultdict(list)
     for frames in source.frames(reading):
@@ -220,7 +220,6 @@ def _decoder(
 
 
 def _require(
-    source: Source,
     databases: Mapping[str, tuple[Path, Database]],
     wanted: Mapping[str, Sequence[LogSignal]],
     each: LogSignal,
@@ -249,7 +248,6 @@ def _require(
 def _samples(
     scenario: Scenario,
     log: Path,
-    databases: Mapping[str, tuple[Path, Database]],
     decoded: Mapping[tuple[str, str], MessageColumns],
     role: str,
     of: LogSignal,
@@ -277,13 +275,7 @@ def _samples(
     columns, signal = decoded[buses[0], of.message], of.signal.rpartition(".")[2]
     layout = columns.layout[signal]
     unit = of.unit or layout.unit
-    factor = unit_factor(ROLES[role], unit)
-    if factor is None:
-        said = f"unit {unit!r}" if unit else "no unit"
-        raise ScenarioError(
-            f"scenario {scenario.name}: {where}: has {said}; must be a table with unit = one of "
-            f"{known_units(ROLES[role])}"
-        )
+    factor = unit_factor(ROLES[role], unit, f"scenario {scenario.name}: {where}")
     column = columns.signals[signal]
     values = np.ma.getdata(column).astype(np.float64) * factor * of.factor
     if signal in columns.codes and not layout.is_enumeration:  # a word such as "not available"

@@ -13,7 +13,7 @@ from can_rig.frames.databases import shipped_dbc
 from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network, load_network
 from can_rig.scenario.box import in_box, uncertain, with_lags
-from can_rig.scenario.log_signals import OF_SENSORS, LogSignal, known_units, terms, unit_factor
+from can_rig.scenario.log_signals import OF_SENSORS, LogSignal, terms, unit_factor
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
@@ -97,13 +97,7 @@ def _of_sensor(
     (of,) = listed
 
     def factor(unit: str) -> float:
-        unit = of.unit or unit
-        found = unit_factor(OF_SENSORS[role], unit)
-        if found is None:
-            said = f"unit {unit!r}" if unit else "no unit"
-            known = known_units(OF_SENSORS[role])
-            raise ScenarioError(f"{where}: has {said}; must be a table with unit = one of {known}")
-        return found * of.factor
+        return unit_factor(OF_SENSORS[role], of.unit or unit, where) * of.factor
 
     return of.signal, factor
 

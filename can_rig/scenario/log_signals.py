@@ -15,6 +15,8 @@ from typing import Annotated, Any, Final
 from pydantic import PlainValidator
 from pydantic_core import PydanticCustomError
 
+from can_rig.errors import ScenarioError
+
 RAD, RAD_PER_S, MPS2, MPS, NM, N = "rad", "rad/s", "m/s²", "m/s", "N m", "N"
 
 _DEGREE: Final = math.pi / 180.0
@@ -47,17 +49,21 @@ _WORDS: Final = (
 )
 
 
-def unit_factor(role_unit: str, unit: str) -> float | None:
-    """The factor from ``unit``, as a database spells it, to the unit of a role; None: unknown."""
+def unit_factor(role_unit: str, unit: str, where: str) -> float:
+    """The factor from ``unit``, as a database spells it, to the unit of a role.
+
+    Raises:
+        ScenarioError: an unknown unit; begins with ``where``.
+    """
     plain = unit.lower()
     for pattern, word in () if plain.startswith("unit_") else _WORDS:
         plain = re.sub(pattern, word, plain)
-    return _FACTORS[role_unit].get(plain)
-
-
-def known_units(role_unit: str) -> str:
-    """The units of a role that a user can write, in words."""
-    return ", ".join(unit for unit in _FACTORS[role_unit] if not unit.startswith("unit_"))
+    factors = _FACTORS[role_unit]
+    if plain not in factors:
+        said = f"unit {unit!r}" if unit else "no unit"
+        known = ", ".join(each for each in factors if not each.startswith("unit_"))
+        raise ScenarioError(f"{where}: has {said}; must be a table with unit = one of {known}")
+    return factors[plain]
 
 
 ROLES: Final = {

@@ -25,7 +25,6 @@ Measured = Literal[
 MEASURED: Final[tuple[Measured, ...]] = get_args(Measured)
 """What a sensor can measure, in the order of the frames; each word names its sensor."""
 YAW_RATE: Final = "yaw-rate"
-ACCELERATION: Final = "lateral-acceleration"
 ECHOES: Final = ("torque-echo", "force-difference-echo")
 """What each actuator says it applies, by channel."""
 

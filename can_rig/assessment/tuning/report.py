@@ -110,7 +110,7 @@ def headings(found: Tunings) -> list[str]:
     return [f"{name}\n{unit.strip()}" for name, unit in columns]
 
 
-def options(found: Tunings, tuning: Tuning) -> str:
+def options(tuning: Tuning) -> str:
     """The ``--set`` options of ``tuning`` for its scenario."""
     return " ".join(f"--set {key}={value:g}" for key, value in tuning.changes.items())
 
@@ -147,7 +147,7 @@ def as_dict(found: Tunings) -> dict[str, Any]:
         "dstar_noise_rms_mps2": found.scenario.model.sensor.noise_mps2,
         "chosen": _values(found.chosen),
         "why": why(found),
-        "options": options(found, found.chosen),
+        "options": options(found.chosen),
         "front": [_values(tuning) for tuning in found.front],
     }
 

@@ -15,14 +15,9 @@ from can_rig.assessment.bus_timing import (
 from can_rig.assessment.frame_length import FrameError, worst_case_bits
 from can_rig.assessment.resolve import load
 from can_rig.errors import DbcError, ScenarioError
-from can_rig.frames.network import load_network
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import draft
-from tests.helpers import DBC, asked, record
-
-STEER_BY_WIRE = load_network(DBC / "steer_by_wire.dbc")
-US = Fraction(1, 10**6)
-
+from tests.helpers import asked, record
 
 FOREIGN = """VERSION ""
 BS_:

@@ -203,7 +203,7 @@ def test_json_and_table_tell_of_the_same_front(found: Tunings) -> None:
         tuple(values["chosen"][key] for key in ("tau_s", "alpha", "tau_q_s", "alpha_q")),
     )
     assert tuned.design == found.chosen.design
-    assert options(found, found.chosen).count("--set design.") == 4
+    assert options(found.chosen).count("--set design.") == 4
 
 
 def test_the_loops_that_are_judged_are_those_of_the_law() -> None:

@@ -24,7 +24,6 @@ from can_rig.results.metrics import metrics_of
 from can_rig.scenario import shipped
 from can_rig.scenario.build import controller_table, network_of
 
-SHORT = ["duration_s=0.2", "fault.at_s=0.1"]
 MIXED: dict[str, Any] = {
     "settings": {"duration_s": 0.2, "fault.at_s": 0.1, "fault.value": 3.0},
     "axes": {

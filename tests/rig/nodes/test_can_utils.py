@@ -21,8 +21,6 @@ pytestmark = pytest.mark.vcan
 
 BUS = "socketcan:vcan0"
 SHORT = "duration_s=0.3"
-LONGER = "duration_s=0.8"
-COMMANDS = ("110", "111", "120")
 # -r: its own queue holds only 270 frames; the filter leaves out the question before the first tick
 CANDUMP = ("candump", "-l", "-r", 8 << 20, "vcan0,700~7FE")
 CANTOOLS = (sys.executable, "-m", "cantools")

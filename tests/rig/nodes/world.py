@@ -150,10 +150,6 @@ def tick_of(message):
     return int.from_bytes(message.data[2:4], "little")
 
 
-def value_of(message):
-    return int.from_bytes(message.data[4:], "little", signed=True)
-
-
 PACE = "design.tau_q_s=0.0027"  # the permitted bump depends on tau_q
 
 

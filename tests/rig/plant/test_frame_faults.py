@@ -258,7 +258,6 @@ def test_only_a_fault_of_frames_concerns_the_frames_of_its_channel(kind, place):
 
 TICKS = 80
 NAMES = [codec.name for codec in COMMANDS]
-EACH = [*NAMES, NETWORK.status.name]
 
 
 def scenario_of(kind: str, first: int, count: int, channel: int = 0) -> Scenario:

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 import can_rig
 from can_rig.cli.main import main
-from can_rig.errors import RigError
+from can_rig.errors import RigError, ScenarioError
 from can_rig.scenario.log_signals import ROLES, unit_factor
 from tests.project.pages import blocks, command_lines
 from tests.rig.replay.car import CAR, FOLDER, GAP_S, LOSS_S
@@ -108,12 +108,16 @@ def test_csv_parquet_and_mf4_have_the_same_columns(
         ("torque", "N m", 1.0),
         ("torque", "N*m", 1.0),
         ("torque", "cNm", 0.01),
-        ("torque", "%", None),
-        ("speed", "", None),
     ],
 )
-def test_units_as_databases_spell_them(role: str, unit: str, factor: float | None) -> None:
-    assert unit_factor(ROLES[role], unit) == (None if factor is None else pytest.approx(factor))
+def test_units_as_databases_spell_them(role: str, unit: str, factor: float) -> None:
+    assert unit_factor(ROLES[role], unit, "here") == pytest.approx(factor)
+
+
+@pytest.mark.parametrize(("unit", "said"), [("%", "unit '%'"), ("", "no unit")])
+def test_an_unknown_unit_is_refused_with_those_that_are_known(unit: str, said: str) -> None:
+    with pytest.raises(ScenarioError, match=f"^here: has {said}; must be .* unit = one of nm, "):
+        unit_factor(ROLES["torque"], unit, "here")
 
 
 KEY = "network.signals."

@@ -14,8 +14,6 @@ from can_rig.results.metrics import metrics, metrics_of
 from can_rig.results.signals import Signals
 from tests.rig.results.quiet import COLUMNS, Run, quiet
 
-LSB_MPS2 = 1e-8
-
 
 @pytest.mark.parametrize(
     ("name", "settings"),

@@ -18,9 +18,6 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.law.status import Verdict
 from tests.rig.results.quiet import quiet
 
-LSB_MPS2 = 1e-8
-
-
 CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = 0.0, 1.0, 2.0, 3.0
 
 

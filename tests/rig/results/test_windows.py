@@ -10,8 +10,6 @@ from can_rig.results.metrics import windows
 from can_rig.scenario.settings import Scenario
 from tests.rig.results.quiet import quiet
 
-LSB_MPS2 = 1e-8
-
 
 def spans(scenario: Scenario) -> dict[str, tuple[float, float] | None]:
     """First and last time of every window, s."""
