@@ -10,12 +10,10 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from can_rig.export.source import INT, Array, indices_of, names_in
-
-if TYPE_CHECKING:
-    from can_rig.export.subset import Typed
+from can_rig.export.subset import Typed
 
 Range = tuple[float, float]
 """The least and the largest value; infinite where unknown."""

@@ -9,7 +9,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from can_rig.export.ranges import check_ranges
 from can_rig.export.source import (
     BOOL,
     INT,
@@ -147,7 +146,6 @@ class Typed:
         nodes = [node for statement in function.body for node in ast.walk(statement)]
         self._stored = {name for node in nodes for name in _stored(node)}
         self._check_assigned(function.body, set(function.parameters))
-        check_ranges(self)
 
     def _check_signature(self) -> None:
         """Check that the annotations agree with the callers."""
