@@ -20,6 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 from can_rig.export.effects import Effects
+from can_rig.export.ranges import check_ranges
 from can_rig.export.source import (
     INT,
     REAL,
@@ -736,6 +737,8 @@ class _CFiles:
     def __init__(
         self, program: Program, structs: list[CStruct], entries: set[str], precision: Precision
     ) -> None:
+        for typed in program.functions.values():
+            check_ranges(typed)
         self._program = program
         self._precision: Precision = precision
         self._effects = Effects(program)

@@ -67,6 +67,7 @@ def tick(table: Any, state: Any, residual: float = 0.0, model_1: float = 1e3) ->
 ABOVE = 1.0 + 1e-12
 
 
+@pytest.mark.every_case
 @pytest.mark.parametrize(
     ("before", "evidence", "after"),
     [

@@ -81,65 +81,6 @@ def test_the_example_of_a_drive_wants_the_speed(built: Built) -> None:
     assert "3 numbers: reference, measurement and speed" in done.stderr
 
 
-STARTED = """\
-#include <stdio.h>
-#include <string.h>
-
-#include "firmware.h"
-
-static struct {memory} memory;
-
-int main(int argc, char **argv)
-{
-    double reference;
-    double measurement;
-
-    memset(&memory, 85, sizeof memory);
-    firmware_init(&memory);
-    if (argc > 1) {
-        firmware_reset(&memory, (real)(argv[1][0] - '0'));
-    }
-    while (scanf("%lf %lf", &reference, &measurement) == 2) {
-        const struct firmware_answer answer =
-            firmware_step(&memory, (real)reference, (real)measurement);
-        printf("%.17g %.17g %.17g %d\\n", (double)answer.command_1, (double)answer.command_2,
-               (double)answer.fault_estimate, (int)answer.mode);
-    }
-    return 0;
-}
-"""
-
-
-@pytest.mark.parametrize("kind", ["float32", "drive"])
-def test_a_start_leaves_nothing_of_the_memory_and_a_reset_settles(
-    kind: str, built: Built, tmp_path: Path
-) -> None:
-    """Memory that is not zero, as after a warm start; a reset to 1 m/s²."""
-    folder, source = built(kind), tmp_path / "started.c"
-    memory = "firmware_memory" if kind == "drive" else "layout_state"
-    source.write_text(STARTED.replace("{memory}", memory), encoding="utf-8")
-    program, library = tmp_path / "started", folder / "libfirmware.a"
-    run("cc", "-std=c99", f"-I{folder}", source, library, "-lm", "-o", program)
-    inputs = [(math.sin(k / 30) + 1.0, math.sin(k / 30 - 0.4) + 1.0) for k in range(100)]
-    text = "".join(f"{r!r} {y!r}\n" for r, y in inputs)
-    for arguments in ([], ["1"]):
-        firmware = firmware_of(kind)
-        firmware.begin()
-        if arguments:
-            firmware.reset(1.0)
-        answers = run(program, *arguments, input=text).splitlines()
-        for line, values in zip(answers, inputs, strict=True):
-            assert tuple(map(float, line.split())) == tuple(map(float, firmware.step(*values)))[:4]
-
-
-def test_cmake_builds_it_too(built: Built, tmp_path: Path) -> None:
-    if shutil.which("cmake") is None:
-        pytest.skip("cmake is not installed")
-    run("cmake", "-S", built("float32"), "-B", tmp_path)
-    run("cmake", "--build", tmp_path)
-    assert run(tmp_path / "example", input="0 0\n").split()[3] == "1"
-
-
 def test_nothing_is_allocated_and_little_is_called(folder: Path) -> None:
     """Of the C library: exact functions, and what fills memory."""
     symbols = run("nm", "--undefined-only", folder / "libfirmware.a").split()

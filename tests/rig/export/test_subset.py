@@ -153,6 +153,23 @@ REFUSED = {
     "state.n = -2147483649": "-2147483649: must be an integer from -2**31 to 2**31 - 1",
     "state.n = HUGE": "HUGE: must be an integer from -2**31 to 2**31 - 1",
     "state.n = state.n % 0": "state.n % 0: must not divide by 0",
+    "for i in range(9):\n        state.list[i] = x":
+        "state.list[i]: index 8 is possible: must be from 0 to 3",
+    "for i in range(4):\n        state.list[i - 1] = x":
+        "state.list[i - 1]: index -1 is possible: must be from 0 to 3",
+    "for i in range(state.n):\n        state.list[i - 1] = x": "index -1 is possible",
+    "for i in range(4):\n        for j in range(i, 3):\n            y = state.grid[i, j]":
+        "state.grid[i, j]: index 2 is possible: must be from 0 to 1",
+    "k = 6\n    y = state.list[k]": "state.list[k]: index 6 is possible",
+    "k = 6\n    state.list[k] = x": "state.list[k]: index 6 is possible",
+    "k = 3\n    if x > 0.0:\n        k = 4\n    y = state.list[k]": "index 4 is possible",
+    "k = 2 if x > 0.0 else -2\n    y = state.list[k]": "index -2 is possible",
+    "y = state.list[state.n % 5]": "index 4 is possible",
+    "y = state.list[min(state.n, 4)]": "index 4 is possible",
+    "y = state.list[max(-1, -state.n % 3) - 1]": "index -1 is possible",
+    "for i in range(4):\n        y = state.list[2 * i]": "index 6 is possible",
+    "k = 100000\n    state.n = k * k": "k * k can be 10000000000: must be from -2**31 to",
+    "größe = x": "größe: must be a name in ASCII, as C has them",
 }  # fmt: skip
 
 
@@ -201,6 +218,11 @@ def test_signatures_that_c_has_not_are_refused(
         "for i in range(4):\n        if i > 1:\n            break\n        y = x\n        x = y",
         "for i in range(4):\n        pass\n    for i in range(2):\n        state.list[i] = x",
         "state.n = -2147483648", "y = state.list[3]",
+        "for i in range(1, 4):\n        state.list[i - 1] = x",
+        "k = state.n\n    for i in range(k):\n        state.list[i] = x",
+        "k = 0\n    for _ in range(3):\n        k = (k + 1) % 4\n        state.list[k] = x",
+        "k = 0\n    k += 9\n    state.list[k] = x", "y = state.list[max(0, min(state.n, 3))]",
+        "for i in range(2):\n        for j in range(2):\n            state.list[2 * i + j] = x",
     ],
 )  # fmt: skip
 def test_what_is_inside_is_not(translate: Translate, line: str) -> None:
