@@ -271,8 +271,8 @@ class BudgetSettings:
 
     ``box`` is the uncertainty of the car's mass, both cornering stiffnesses and speed, 0.2 for ±20
     %; ``actuator_box`` likewise for the lags of both actuators. At most ``false_alarms_per_hour``
-    losses are confirmed by chance; ``suspicions_per_hour`` cause a compensation of a few ticks.
-    Wind, road and drifts move a healthy D* by ``disturbance_mps2`` (rms) within a second.
+    losses are confirmed by chance; ``suspicions_per_hour`` are suspected for a few ticks. Wind,
+    road and drifts move a healthy D* by ``disturbance_mps2`` (rms) within a second.
     With a peak |S| above ``peak_sensitivity``, or fewer than ``spare_ticks`` of further delay, a
     stable loop has a thin margin.
     """

@@ -35,7 +35,7 @@ class Target:
         resolution: step of the measurement, bus rounding included.
         mismatch: cars different from the model; the default trusts the model.
         false_alarms_per_hour: losses confirmed by chance, at most.
-        suspicions_per_hour: false suspicions, compensated only for a few ticks, at most.
+        suspicions_per_hour: false suspicions, at most.
         on_confirmation: compensate from the confirmed loss on, with the modelled effect of the lost
             channel's commands, instead of always with d̂ (the thesis).
         safe_stop_s: time from the verdict "both actuators lost" to zero commands; 0: the commands

@@ -14,9 +14,8 @@ command at once, so F̂ may work on s w = s G1 u1 instead, with s the lost share
 the loop is then halved.
 
 **Whose fault it is.** The decision subtracts a known sensor bias from d̂; no other module does. A
-frozen sensor gives no information: its measurement counts as missing. With channel 2 lost no
-suspicion is compensated. With both channels lost the commands go to zero, if the table asks for a
-safe stop. F̂ on d̂ compensates under every verdict.
+frozen sensor gives no information: its measurement counts as missing. With both channels lost the
+commands go to zero, if the table asks for a safe stop. F̂ on d̂ compensates under every verdict.
 
 **Inputs that are missing.** The model's prediction stands in for a missing measurement
 (``filters.prediction``): C is a feedforward then, and only the decision waits. Without a reference

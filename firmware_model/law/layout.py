@@ -23,9 +23,6 @@ from firmware_model.law.fault_decision.bumpless_transfer import (
 from firmware_model.law.fault_decision.decision import (
     Constants as DecisionConstants,
 )
-from firmware_model.law.fault_decision.decision import (
-    State as DecisionState,
-)
 from firmware_model.law.fault_decision.hypotheses import verdict
 from firmware_model.law.fault_decision.loss_model import (
     Constants as LossModelConstants,
@@ -124,7 +121,6 @@ class State(status.State):
     mismatch: Annotated[MismatchState, "1", "how this car differs"]
     sequential_test: Annotated[likelihood_ratio.State, "1", "for a loss or its end"]
     loss_model: Annotated[LossModelState, "1", "what is lost"]
-    decision: Annotated[DecisionState, "1", "on the fault state"]
     bumpless_transfer: Annotated[BumplessTransferState, "1", "of F̂ to s w"]
     hypotheses: Annotated[verdict.State, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopState, "1", "where the commands have to go"]

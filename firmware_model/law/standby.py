@@ -72,7 +72,7 @@ def leave(table: Table, state: layout.State, reference: float, y: float) -> None
         state.fault_state = CLEAR
     settle(table.compensator.filter, state.compensator.filter, zero)
     release(state.bumpless_transfer)
-    transfer_to_losses(table, state, zero)
+    transfer_to_losses(table, state)
     state.shortfall_1.accumulators[:] = 0.0
     state.shortfall_2.accumulators[:] = 0.0
 

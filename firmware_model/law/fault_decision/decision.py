@@ -4,16 +4,17 @@
 ``likelihood_ratio`` weighs the rest for a loss, or for the return of a lost channel. The evidence g
 makes a loss
 
-    SUSPECTED   from ``suspect`` on: the compensation begins, at the pace of a bumpless transfer
-    CONFIRMED   from ``confirm`` on, by chance once in a given number of hours
+    SUSPECTED   from ``suspect`` on: the driver may be told
+    CONFIRMED   from ``confirm`` on, by chance once in a given number of hours: F̂ compensates
 
 and clears a confirmed loss from ``recover`` on for the return: a false return costs more than a
-late return. A suspicion ends with its candidate.
+late return. A suspicion ends with its candidate and moves no actuator: most faults that are no loss
+of channel 1 reach ``suspect`` before they contradict the candidate, and a compensation would add to
+their harm.
 
 A fault of the sensor or of channel 2 changes d̂ too. If ``hypotheses`` finds such a fault, the
-suspected loss of channel 1 is withdrawn; the unexplained rest counts as a loss. If channel 1
-contributes too little to show its loss within ``horizon``, a small d̂ proves no health, and the
-state is CANNOT_TELL instead of CLEAR.
+suspicion ends. If channel 1 contributes too little to show its loss within ``horizon``, a small d̂
+proves no health, and the state is CANNOT_TELL instead of CLEAR.
 """
 
 from __future__ import annotations
@@ -25,12 +26,10 @@ from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer
 from firmware_model.law.fault_decision.hypotheses.sensor_error import sensor_error_shown
 from firmware_model.law.fault_decision.hypotheses.signatures import begin_all
 from firmware_model.law.fault_decision.hypotheses.verdict import (
-    FORCE_LOST,
     found_elsewhere,
     weigh_hypotheses,
 )
 from firmware_model.law.fault_decision.likelihood_ratio import (
-    candidate_output,
     forget_candidate,
     lost_share,
     start_candidate,
@@ -42,7 +41,6 @@ from firmware_model.law.fault_decision.loss_model import (
     known_share,
     loss_output,
     loss_shown,
-    possible_share,
     take_over_candidate,
 )
 from firmware_model.law.fault_decision.mismatch import innovation, learn_loss, predict_mismatch
@@ -78,12 +76,6 @@ class Constants(Struct):
     shown: Annotated[float, "1", "energy of a constant of size 1 behind W within ``horizon``"]
 
 
-class State(Struct):
-    """State."""
-
-    suspected_share: Annotated[float, "1", "part of channel 1 that a suspicion takes for lost"]
-
-
 @firmware
 def decide(
     table: Table, state: layout.State, residual: float, model_1: float, model_2: float
@@ -108,7 +100,8 @@ def decide(
     update_test(table, state, new, -known_share(state) if before == CONFIRMED else share)
     weigh_hypotheses(table, state, new, model_1 + model_2 - state.loss_model.share * w)
     if found_elsewhere(state.hypotheses):
-        acquit(table, state)
+        state.fault_state = CLEAR
+        start_candidate(table, state)
         return
     if before == CONFIRMED:
         if test.evidence > constants.recover:
@@ -118,40 +111,11 @@ def decide(
         confirm(table, state)
     elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
         state.fault_state = SUSPECTED
-        if before != SUSPECTED:
-            begin_suspicion(table, state)
     else:
         shows = constants.shown * model_1 * model_1
         state.fault_state = CLEAR
         if shows < constants.confirm * state.mismatch.variance:
             state.fault_state = CANNOT_TELL
-        if before == SUSPECTED:
-            transfer_to_losses(table, state, real(0.0, new))
-
-
-@firmware
-def begin_suspicion(table: Table, state: layout.State) -> None:
-    """Compensate the candidate's possible cost so far; zero if channel 2 is lost."""
-    constants, test = table.sequential_test, state.sequential_test
-    share = possible_share(max(lost_share(constants, test), constants.share))
-    if state.hypotheses.verdict == FORCE_LOST:
-        share = real(0.0, share)
-    state.decision.suspected_share = share
-    transfer_to_losses(table, state, share)
-
-
-@firmware
-def acquit(table: Table, state: layout.State) -> None:
-    """Withdraw a suspected loss of channel 1: the fault is in the sensor or the force difference.
-
-    With channel 2 lost no suspicion is compensated. The function ends the decision's compensation;
-    F̂ on d̂ goes on, because a wrong verdict would remove the compensation of a real loss.
-    """
-    force_lost = state.hypotheses.verdict == FORCE_LOST
-    if force_lost or state.fault_state == SUSPECTED:
-        transfer_to_losses(table, state, real(0.0, state.command_1))
-    state.fault_state = CLEAR
-    start_candidate(table, state)
 
 
 @firmware
@@ -169,20 +133,17 @@ def show_acting_commands(table: Table, state: layout.State) -> None:
 @firmware
 def confirm(table: Table, state: layout.State) -> None:
     """Take channel 1 for lost since the start of the candidate."""
-    take_candidate(
-        table,
-        state,
-        lost_share(table.sequential_test, state.sequential_test),
-        real(1.0, state.command_1),
-    )
     state.fault_state = CONFIRMED
+    share = lost_share(table.sequential_test, state.sequential_test)
+    take_candidate(table, state, share, real(1.0, share))
 
 
 @firmware
 def recover(table: Table, state: layout.State) -> None:
     """Channel 1 works again, since the start of the candidate."""
-    take_candidate(table, state, known_share(state), -real(1.0, state.command_1))
     state.fault_state = CLEAR
+    share = known_share(state)
+    take_candidate(table, state, share, -real(1.0, share))
 
 
 @firmware
@@ -196,8 +157,8 @@ def take_candidate(table: Table, state: layout.State, share: float, sign: float)
     doubt = constants.doubt / max(test.information, table.decision.suspect)
     doubt = max(doubt, constants.least_doubt)
     moment = constants.moment * test.age
-    transfer_to_losses(table, state, sign * possible_share(share))
     take_over_candidate(table, state, share, sign)
+    transfer_to_losses(table, state)
     forget_candidate(table, state, sign * share)
     learn_loss(state.mismatch, min(constants.share_variance, doubt), moment * moment)
     start_candidate(table, state)
@@ -205,18 +166,15 @@ def take_candidate(table: Table, state: layout.State, share: float, sign: float)
 
 
 @firmware
-def transfer_to_losses(table: Table, state: layout.State, share: float) -> None:
-    """Begin a bumpless transfer of F̂ to the known loss and ``share`` of the candidate."""
-    loss, test = state.loss_model, state.sequential_test
-    lost = loss.followed * loss.previous_output + share * test.previous_output
-    now = loss.followed * loss_output(table, state) + share * candidate_output(table, state)
-    begin_transfer(table.bumpless_transfer, state.bumpless_transfer, lost, now - lost)
+def transfer_to_losses(table: Table, state: layout.State) -> None:
+    """Begin a bumpless transfer of F̂ to the known loss."""
+    lost = state.loss_model.followed * state.loss_model.previous_output
+    speed = compensated_output(table, state) - lost
+    begin_transfer(table.bumpless_transfer, state.bumpless_transfer, lost, speed)
 
 
 @firmware
 def compensated_output(table: Table, state: layout.State) -> float:
-    """The input of F̂: the known loss plus the suspected loss."""
+    """The input of F̂: the known loss."""
     lost: float = state.loss_model.followed * loss_output(table, state)
-    if state.fault_state == SUSPECTED:
-        lost = lost + state.decision.suspected_share * candidate_output(table, state)
     return lost

@@ -95,7 +95,7 @@ def update_test(table: Table, state: layout.State, innovation: float, share: flo
     test.information += information
     test.age += real(1.0, share)
     constants, none = table.sequential_test, real(0.0, share)
-    suspected = share > none and test.evidence > constants.promising  # and acted upon
+    suspected = share > none and test.evidence > constants.promising
     stale = is_stale(constants, test) and not suspected
     if stale or not test.evidence > constants.restart:
         start_candidate(table, state)

@@ -121,25 +121,28 @@ def take_over_candidate(table: Table, state: layout.State, share: float, sign: f
     Args:
         table: the constant table.
         state: changed in place.
-        share: s from now on; a fading earlier loss becomes part of the new loss.
+        share: s from now on; a fading earlier loss becomes part of the new loss, with the learnt
+            errors of share and moment.
         sign: 1 or -1.
     """
-    loss, test = state.loss_model, state.sequential_test
-    earlier = known_share(state) / share
-    for i in range(table.estimator.channel_1.n):
+    loss, test, g1 = state.loss_model, state.sequential_test, table.estimator.channel_1
+    earlier, moment = known_share(state) / share, state.mismatch.theta[1] / share
+    shift = moment * output(g1, loss.earlier, real(0.0, share))
+    for i in range(g1.n):
         for j in range(2):
             before = earlier * loss.channel_1.accumulators[i, j]
+            before += moment * loss.earlier.accumulators[i, j]
             loss.channel_1.accumulators[i, j] = before + sign * test.channel_1.accumulators[i, j]
             loss.earlier.accumulators[i, j] = test.earlier.accumulators[i, j]
     white = state.mismatch.white
     for i in range(table.mismatch.whitener.n):
         for j in range(2):
-            before = earlier * white.lost.memory[i, j]
+            before = earlier * white.lost.memory[i, j] + moment * white.earlier.memory[i, j]
             white.lost.memory[i, j] = before + sign * test.white.memory[i, j]
             white.earlier.memory[i, j] = 0.0
     for i in range(table.estimator.shown_ticks_1):
-        loss.delay[i] = earlier * loss.delay[i] + sign * test.delay[i]
-    loss.previous_output = earlier * loss.previous_output + sign * test.previous_output
+        loss.delay[i] = earlier * loss.delay[i] + shift + sign * test.delay[i]
+    loss.previous_output = earlier * loss.previous_output + shift + sign * test.previous_output
     loss.share = share
     loss.between = loss.followed = possible_share(share)
 

@@ -106,16 +106,19 @@ def test_a_loose_connection_asks_for_no_more_than_the_load_in_a_tick(
 
 
 @pytest.mark.compiled
-def test_a_loss_that_comes_back_while_the_last_is_released_makes_no_bump() -> None:
+@pytest.mark.parametrize("after", [20, 28, 40, 48, 64, 100])
+def test_a_loss_that_comes_back_while_the_last_is_released_makes_no_bump(after: int) -> None:
+    """The fading loss keeps what was learnt of its moment: at most one false return follows."""
     table = build(DESIGN, late(1e-3))
     plant, left = sample(CAR, TICK_S), np.ones((2500, 2))
     left[LOST : LOST + 200, 0] = 0.0
     once = simulate(table, plant, np.ones(2500), effectiveness=left).fault_state
     cleared = LOST + 200 + int(np.argmax(once[LOST + 200 :] == FaultState.CLEAR))
-    left[cleared + 50 :, 0] = 0.0
+    left[cleared + after :, 0] = 0.0
     again = simulate(table, plant, np.ones(2500), effectiveness=left)
-    assert again.fault_state[cleared + 40] == FaultState.CLEAR
-    assert again.fault_state[-1] == FaultState.CONFIRMED
+    confirmed = again.fault_state == FaultState.CONFIRMED
+    assert not confirmed[cleared : cleared + after].any()
+    assert (np.diff(confirmed[cleared:].astype(int)) != 0).sum() <= 3
     assert np.abs(np.diff(again.command_2[cleared:])).max() < 1.0 / CAR.g2.dc_gain
     assert np.abs(again.error[-100:]).max() < 1e-2
 

@@ -110,8 +110,8 @@ def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate() ->
 
 
 @pytest.mark.compiled
-def test_a_spike_is_suspected_compensated_and_forgotten() -> None:
-    """Eleven samples that look like a loss: F̂ begins, and is led back without a step."""
+def test_a_spike_is_suspected_and_moves_no_actuator() -> None:
+    """Eleven samples that look like a loss."""
     spike = np.zeros(1600)
     spike[LOST : LOST + 11] = -7e-4 * np.arange(11) ** 2
     table = build(DESIGN, confirming(noise_rms=0.01))
@@ -120,10 +120,7 @@ def test_a_spike_is_suspected_compensated_and_forgotten() -> None:
     assert LOST < suspected[0] <= suspected[-1] < LOST + 30
     assert len(suspected) == suspected[-1] - suspected[0] + 1
     assert (trace.fault_state[LOST + 30 :] == CLEAR).all()
-    load = 1.0 / CAR.g2.dc_gain
-    assert 0.1 * load < np.abs(trace.command_2).max() < 0.5 * load
-    assert np.abs(np.diff(trace.command_2)).max() < 0.1 * load
-    assert abs(trace.command_2[-1]) < 1e-3 * load
+    assert (trace.command_2 == 0.0).all()
 
 
 @pytest.mark.compiled

@@ -22,7 +22,7 @@ from firmware_model.law.fault_decision.decision import (
     decide,
     show_acting_commands,
 )
-from firmware_model.law.fault_decision.likelihood_ratio import candidate_output, candidate_shown
+from firmware_model.law.fault_decision.likelihood_ratio import candidate_shown
 from firmware_model.law.fault_decision.loss_model import earlier_shown, loss_output
 from tests.firmware.law.cases import DESIGN, TICK_S, changed, other_cars
 
@@ -111,19 +111,6 @@ def test_at_the_edge_itself_it_can() -> None:
     assert tick(table, state, model_1=np.nextafter(1.0, 0.0)) == CANNOT_TELL
 
 
-@pytest.mark.parametrize(("best", "suspected"), [(0.9, 0.9), (0.5, 0.8), (1.7, 1.0)])
-def test_a_suspicion_takes_for_lost_what_explains_most_but_hardly_less_than_is_looked_for(
-    best: float, suspected: float
-) -> None:
-    table, state = begun(5.0, sequential_test={"deviations": 0.0})
-    state.sequential_test.correlation, state.sequential_test.information = 50.0 * best, 50.0
-    assert tick(table, state) == SUSPECTED
-    assert state.decision.suspected_share == pytest.approx(suspected)
-    state.sequential_test.correlation = 0.0
-    assert tick(table, state) == SUSPECTED
-    assert state.decision.suspected_share == pytest.approx(suspected)  # as when it began
-
-
 @pytest.mark.parametrize("known", [0.0, 0.6])
 def test_the_evidence_is_for_a_loss_or_for_the_return_of_what_is_lost(known: float) -> None:
     before = CONFIRMED if known else CLEAR
@@ -176,13 +163,10 @@ def test_the_commands_that_act_are_those_that_show_without_what_is_known_to_be_l
     assert shown == (10.0 * share, second)
 
 
-def test_f_hat_makes_up_for_what_is_lost_and_what_is_suspected() -> None:
+def test_f_hat_makes_up_for_what_is_lost() -> None:
     table, state = begun()
     moving(state, 0.5)
-    state.decision.suspected_share = 0.25
     for fault_state in (CLEAR, SUSPECTED, CONFIRMED):
         state.fault_state = fault_state
         expected = 0.5 * float(loss_output(table, state))
-        if fault_state == SUSPECTED:
-            expected += 0.25 * float(candidate_output(table, state))
         assert float(compensated_output(table, state)) == pytest.approx(expected, rel=1e-12)

@@ -98,26 +98,3 @@ def test_what_the_car_was_taken_for_because_of_the_candidate_is_forgotten(
     tick(table, state)
     assert state.mismatch.theta[2] == pytest.approx(0.5 - sign * 0.6 * 0.02)
     assert state.mismatch.theta[:2].tolist() == [0.0, 0.0]
-
-
-def test_a_suspicion_begins_with_a_transfer_and_goes_on_without() -> None:
-    table, state = set_up(5.0, CLEAR, 0.3)
-    was = state.copy()
-    assert tick(table, state) == SUSPECTED
-    ours, expected = transferred(table, was, state, 0.9)
-    np.testing.assert_allclose(ours, expected, rtol=1e-9)
-    state.bumpless_transfer.missed = 123.0
-    assert tick(table, state) == SUSPECTED
-    assert state.bumpless_transfer.missed == 123.0
-
-
-def test_a_suspicion_ends_with_a_transfer_to_what_is_left() -> None:
-    table, state = set_up(-0.5, SUSPECTED, 0.3)
-    was = state.copy()
-    was.fault_state = CLEAR
-    assert tick(table, state) == CLEAR
-    ours, expected = transferred(table, was, state, 0.0)
-    np.testing.assert_allclose(ours, expected, rtol=1e-9)
-    state.bumpless_transfer.missed = 123.0
-    assert tick(table, state) == CLEAR
-    assert state.bumpless_transfer.missed == 123.0

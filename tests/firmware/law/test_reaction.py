@@ -11,8 +11,7 @@ import pytest
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.decision import acquit, begin_suspicion
-from firmware_model.law.status import FaultState, Verdict
+from firmware_model.law.status import Verdict
 from tests.firmware.law.cases import DESIGN, NEVER, TICK_S, changed
 
 
@@ -39,36 +38,6 @@ def test_no_verdict_takes_away_the_compensation_on_d_hat(verdict: Verdict) -> No
             controller.step(table, state, 0.0, -0.2)
             if k == 50 and found:
                 state.hypotheses.verdict = state.hypotheses.found = found
-                acquit(table, state)
             forces.append(float(state.command_2))
     np.testing.assert_array_equal(forces[:200], forces[200:])
     assert min(np.abs(forces[50:200])) > 100.0
-
-
-@pytest.mark.compiled
-def test_with_channel_2_lost_what_is_suspected_fades_without_a_bump() -> None:
-    """F̂ gets what it had at first, and then less and less, whatever d̂ is."""
-    table, state = started()
-    state.fault_estimate = state.bumpless_transfer.carried = 0.2
-    state.fault_state = FaultState.SUSPECTED
-    state.hypotheses.verdict = state.hypotheses.found = Verdict.FORCE_LOST
-    acquit(table, state)
-    assert state.fault_state == FaultState.CLEAR
-    carried = []
-    for k in range(3000):
-        controller.step(table, state, 0.0, -0.2 + 1e-3 * (k % 2))
-        carried.append(float(state.bumpless_transfer.carried))
-    changes = np.abs(np.diff([0.2, *carried]))
-    assert changes.max() < 0.01 * 0.2
-    assert abs(carried[-1]) < 1e-4
-    assert abs(float(state.command_2)) < 1.0
-
-
-def test_with_channel_2_lost_a_suspicion_is_not_compensated() -> None:
-    for verdict, share in ((Verdict.NOTHING, 0.8), (Verdict.FORCE_LOST, 0.0)):
-        table, state = started()
-        table.sequential_test.share = 0.8
-        state.hypotheses.verdict = verdict
-        begin_suspicion(table, state)
-        assert state.decision.suspected_share >= share
-        assert (state.decision.suspected_share == 0.0) == (share == 0.0)

@@ -10,7 +10,6 @@ import pytest
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.decision import acquit
 from firmware_model.law.fault_decision.hypotheses.sensor_error import (
     advance_sensor_error,
     learn_sensor_error,
@@ -23,7 +22,6 @@ from firmware_model.law.fault_decision.hypotheses.signatures import (
 )
 from firmware_model.law.fault_decision.mismatch import innovation
 from firmware_model.law.filters import biquad
-from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
 from tests.firmware.law.cases import DESIGN, TICK_S, changed, other_cars
 
@@ -122,19 +120,6 @@ def test_an_error_is_gone_where_less_than_half_is_left(sizes: list[float], gone:
         over = learn_sensor_error(table, state, biased, -1.0)
     assert over == gone
     assert state.hypotheses.sensor_error.offset == pytest.approx(0.0 if gone else sum(sizes))
-
-
-def test_a_suspicion_ends_and_is_given_back_without_a_bump() -> None:
-    table = table_of(on_confirmation=True)
-    state = controller.init(table)[0]
-    state.fault_state = FaultState.SUSPECTED
-    state.command_1 = 12.0
-    state.sequential_test.evidence = state.sequential_test.age = 9.0
-    state.bumpless_transfer.carried, state.bumpless_transfer.carried_speed = 0.2, 0.001
-    acquit(table, state)
-    assert (state.fault_state, state.sequential_test.evidence) == (FaultState.CLEAR, 0.0)
-    # What F̂ still carries fades from where it was.
-    assert state.bumpless_transfer.missed == pytest.approx(-0.2)
 
 
 def test_lags_of_these_tests_are_those_of_the_section() -> None:
