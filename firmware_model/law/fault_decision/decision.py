@@ -5,7 +5,8 @@
 makes a loss
 
     SUSPECTED   from ``suspect`` on: the driver may be told
-    CONFIRMED   from ``confirm`` on, by chance once in a given number of hours: F̂ compensates
+    CONFIRMED   from ``confirm`` on, by chance once in a given number of hours: F̂ compensates;
+                a candidate of a takeover from ``suspect`` on
 
 and clears a confirmed loss from ``recover`` on for the return: a false return costs more than a
 late return. A suspicion ends with its candidate and moves no actuator: most faults that are no loss
@@ -109,7 +110,8 @@ def decide(
         if test.evidence > constants.recover:
             recover(table, state)
         return
-    if test.evidence > constants.confirm:
+    needed = constants.suspect if test.of_takeover == 1 else constants.confirm
+    if test.evidence > needed:
         confirm(table, state)
     elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
         state.fault_state = SUSPECTED
