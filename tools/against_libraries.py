@@ -98,7 +98,7 @@ def unlike(ours: can.Message, theirs: can.Message) -> Iterator[tuple[str, str]]:
 
 
 def compare_database(path: Path, random: np.random.Generator) -> None:
-    """Every signal of some random frames of each message; bits that are in no message are 0."""
+    """Every signal of some random frames of each message; bits outside the message are 0."""
     try:
         database = load_database(path, strict=False)
         decoder = Decoder(database)

@@ -87,7 +87,7 @@ def random_frames(database: Database, count: int, path: Path) -> None:
 
 
 def cost(words: list[str], out: Path) -> Cost:
-    """What a process takes that writes ``out``, which is removed."""
+    """Return the cost of a process that writes ``out``; removes ``out``."""
     small = [sys.executable, "-c", _MEASURED, *words]
     said = subprocess.run(small, stdout=subprocess.PIPE, text=True, check=True).stdout
     if out.is_dir():

@@ -64,7 +64,7 @@ class Memory(threading.Thread):
         self.over = threading.Event()
 
     def run(self) -> None:
-        """Sample until told that it is over."""
+        """Sample until ``over`` is set."""
         while not self.over.wait(MEMORY_EVERY_S):
             for name, resident in _nodes():
                 self.samples.setdefault(name, []).append(resident)

@@ -65,7 +65,7 @@ def locked(uv: Path, folder: Path, renewed: list[str]) -> Iterator[tuple[list[st
 
 
 def other_files(folder: Path) -> set[str]:
-    """Hashes of files that these machines do not install."""
+    """Return the hashes of files for other machines."""
     packages = tomllib.loads((folder / "uv.lock").read_text("utf-8"))["package"]
     found: set[str] = set()
     for package in packages:

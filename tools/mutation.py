@@ -351,7 +351,7 @@ class Session:
         return noticed or (NEEDS_IMPORT if ran_at_import else "")
 
     def _place(self, stem: str, item: pytest.Item) -> tuple[bool, float, str, float]:
-        """The module's own tests and those that noticed others come first, and quick ones."""
+        """Sort key: first the module's own tests, then tests with kills, quick tests first."""
         kills, file = self._kills[item.nodeid], _file(item)
         own = Path(file).stem == f"test_{stem}"
         return not (own or kills), -kills, file, self._cpu_s[item.nodeid]

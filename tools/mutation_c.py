@@ -96,7 +96,7 @@ def able(source: Path, compile_: Sequence[str]) -> Sequence[str]:
 def answers(
     folder: Path, objects: list[str], orders: Path, program: str, compile_: Sequence[str]
 ) -> bytes | None:
-    """What a program of these objects answers; None where it fails."""
+    """Return the output of a program linked from ``objects``; None if the program fails."""
     run([*compile_, "-o", program, *objects, "-lm"], folder)
     limited = ["prlimit", f"--cpu={CPU_S}", f"./{program}"]
     with orders.open("rb") as source:

@@ -1,13 +1,13 @@
-"""What ``can-rig check`` says of random scenarios, against how they run.
+"""Compare the verdict of ``can-rig check`` on random scenarios with a run of each.
 
 Cars, speeds, ticks, latencies, actuators, limits, noise, references and faults are drawn; the
 design is the fastest of a few that the tick allows. A run contradicts a verdict of "stable" where
 
     D* is not a finite number, or a command is beyond its limit, or
-    D* moves on its own in the last second: by more than the noise, or a share of the demand, away
-    from where the same car without limits, noise and fault would go, though X_diff could hold it.
+    D* leaves the D* of the same car without limits, noise and fault in the last second: by more
+    than the noise and a share of the demand, although X_diff could hold D*.
 
-And whatever raises anything but a refusal of one line is a defect.
+Any exception but a refusal of one line is a defect.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ AFTER_S = 5.0  # from the fault to the end, so that two seconds to return leave 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was said of a scenario, and what is wrong with that."""
+    """The verdict on a scenario, and the contradiction by its run, if any."""
 
     settings: list[str]
     said: str
@@ -45,7 +45,7 @@ class Verdict:
 
 
 def drawn(draw: np.random.Generator) -> list[str]:
-    """Settings of a scenario; they need not make one that is possible."""
+    """Random settings; some scenarios are impossible."""
 
     def log(low: float, high: float) -> float:
         return float(f"{np.exp(draw.uniform(np.log(low), np.log(high))):.3g}")
@@ -112,7 +112,7 @@ def verdict_on(settings: list[str]) -> Verdict:
 
 
 def contradiction(scenario: Scenario, said: StabilityCheck) -> str:
-    """What of the run contradicts what was said; nothing as a rule."""
+    """Return the contradiction between the run and the verdict; empty without a contradiction."""
     network = network_of(scenario)
     run = frameless(scenario, network)
     place = target(scenario, network)

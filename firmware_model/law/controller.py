@@ -54,8 +54,7 @@ from firmware_model.law.fault_decision.likelihood_ratio import (
 from firmware_model.law.fault_decision.loss_model import (
     advance_loss_model,
     clear_loss_model,
-    known_share,
-    loss_shown,
+    missing_shown,
 )
 from firmware_model.law.fault_decision.mismatch import (
     clear_mismatch,
@@ -297,8 +296,7 @@ def measurement_or_prediction(
 ) -> float:
     """Return y less the motion of a takeover where ``measured``, otherwise what stands in for y."""
     own, constants = state.prediction, table.prediction
-    lost = known_share(state) * loss_shown(table, state)
-    expected = predicted(table, state, model_output - lost)
+    expected = predicted(table, state, model_output - missing_shown(table, state))
     if measured:
         state.measurement = y
     y = y - state.takeover.shown
@@ -320,8 +318,7 @@ def go_on(table: Table, state: State) -> None:
     model_1, model_2 = model_output(
         table.estimator, state.estimator, state.command_1, state.command_2
     )
-    lost = known_share(state) * loss_shown(table, state)
-    expected = predicted(table, state, model_1 + model_2 - lost)
+    expected = predicted(table, state, model_1 + model_2 - missing_shown(table, state))
     take_measurement(table.estimator, state.estimator, expected)
     show_acting_commands(table, state)
     asked_1 = track_on(table.tracking, state.tracking, state.command_1)

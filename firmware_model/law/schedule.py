@@ -179,6 +179,7 @@ def turn_models(
     turn(schedule.turn_1, own, state.sequential_test.earlier, at, way)
     turn(schedule.turn_1, own, state.loss_model.channel_1, at, way)
     turn(schedule.turn_1, own, state.loss_model.earlier, at, way)
+    turn(schedule.turn_1, own, state.loss_model.fading, at, way)
     turn(schedule.turn_1, own, state.hypotheses.signatures.torque_offset.answer, at, way)
     turn(schedule.turn_2, own, state.hypotheses.signatures.force_lost.answer, at, way)
     cars = state.other_cars

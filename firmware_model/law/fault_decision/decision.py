@@ -5,7 +5,8 @@
 makes a loss
 
     SUSPECTED   from ``suspect`` on: the driver may be told
-    CONFIRMED   from ``confirm`` on, by chance once in a given number of hours: F̂ compensates
+    CONFIRMED   from ``confirm`` on, by chance once in a given number of hours: F̂ compensates;
+                a candidate of a takeover from ``suspect`` on
 
 and clears a confirmed loss from ``recover`` on for the return: a false return costs more than a
 late return. A suspicion ends with its candidate and moves no actuator: most faults that are no loss
@@ -37,6 +38,8 @@ from firmware_model.law.fault_decision.likelihood_ratio import (
 )
 from firmware_model.law.fault_decision.loss_model import (
     earlier_shown,
+    fading_output,
+    fading_shown,
     follow_share,
     known_share,
     loss_output,
@@ -60,8 +63,6 @@ CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = (
     int(FaultState.CONFIRMED),
     int(FaultState.CANNOT_TELL),
 )
-
-LEAST_SHARE = 0.01  # of a confirmed loss: no division by nothing
 
 
 class Constants(Struct):
@@ -94,11 +95,13 @@ def decide(
     before, w = state.fault_state, loss_shown(table, state)
     known = sensor_error_shown(table, state)
     predict_mismatch(table, state, model_1 + model_2, w, earlier_shown(table, state))
-    new = innovation(table.mismatch, state.mismatch, residual, known, state.loss_model.share)
+    fading = fading_shown(table, state)
+    lost = state.loss_model.share
+    new = innovation(table.mismatch, state.mismatch, residual, known, fading, lost)
     follow_share(table.loss_model, state)
     share = table.sequential_test.share
     update_test(table, state, new, -known_share(state) if before == CONFIRMED else share)
-    weigh_hypotheses(table, state, new, model_1 + model_2 - state.loss_model.share * w)
+    weigh_hypotheses(table, state, new, model_1 + model_2 - fading - lost * w)
     if found_elsewhere(state.hypotheses):
         state.fault_state = CLEAR
         start_candidate(table, state)
@@ -107,7 +110,8 @@ def decide(
         if test.evidence > constants.recover:
             recover(table, state)
         return
-    if test.evidence > constants.confirm:
+    needed = constants.suspect if test.of_takeover == 1 else constants.confirm
+    if test.evidence > needed:
         confirm(table, state)
     elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
         state.fault_state = SUSPECTED
@@ -153,7 +157,6 @@ def take_candidate(table: Table, state: layout.State, share: float, sign: float)
     From now on the filter learns the errors of share and moment.
     """
     constants, test = table.loss_model, state.sequential_test
-    share = max(share, real(LEAST_SHARE, share))
     doubt = constants.doubt / max(test.information, table.decision.suspect)
     doubt = max(doubt, constants.least_doubt)
     moment = constants.moment * test.age
@@ -168,13 +171,15 @@ def take_candidate(table: Table, state: layout.State, share: float, sign: float)
 @firmware
 def transfer_to_losses(table: Table, state: layout.State) -> None:
     """Begin a bumpless transfer of F̂ to the known loss."""
-    lost = state.loss_model.followed * state.loss_model.previous_output
+    loss = state.loss_model
+    lost = loss.previous_fading + loss.followed * loss.previous_output
     speed = compensated_output(table, state) - lost
     begin_transfer(table.bumpless_transfer, state.bumpless_transfer, lost, speed)
 
 
 @firmware
 def compensated_output(table: Table, state: layout.State) -> float:
-    """The input of F̂: the known loss."""
-    lost: float = state.loss_model.followed * loss_output(table, state)
+    """The input of F̂: the known missing output."""
+    loss = state.loss_model
+    lost: float = fading_output(table, state) + loss.followed * loss_output(table, state)
     return lost

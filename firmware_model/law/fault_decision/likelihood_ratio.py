@@ -12,7 +12,8 @@ on ν: w, whitened like the noise, minus the part absorbed by the estimates of t
 rejects the moment, and the candidate restarts at this tick. An f that fades before a decision
 restarts the candidate too, because no more evidence can follow. The chance that a healthy car takes
 one candidate beyond h is e^-h at most (Wald), and there is at most one a tick: so h is the
-logarithm of the ticks between two false alarms, whatever the drive, and needs no tuning.
+logarithm of the ticks between two false alarms, whatever the drive, and needs no tuning. A takeover
+begins few candidates in the life of a controller, and a loss from before is likely there.
 
 The test for the return of a lost channel is the same with the opposite sign.
 """
@@ -67,6 +68,7 @@ class State(Struct):
     information: Annotated[float, "1", "Σ f²/S for a share of 1"]
     half_age: Annotated[float, "tick", "age at the last check of growth"]
     half_information: Annotated[float, "1", "information at the last check of growth"]
+    of_takeover: Annotated[int, "1", "1: the candidate began in a takeover"]
 
 
 @firmware
@@ -139,6 +141,7 @@ def start_candidate(table: Table, state: layout.State) -> None:
     test.previous_output = 0.0
     test.white.memory[:] = 0.0
     test.half_age = test.half_information = 0.0
+    test.of_takeover = state.takeover.active
     for i in range(shown):
         command = pending_command(estimator, state.estimator, i)
         w = output(g1, test.channel_1, command)

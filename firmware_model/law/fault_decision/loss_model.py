@@ -1,7 +1,8 @@
 """The model of d̂ after a loss: s w, with w the answer of G1 to the lost commands.
 
 The thesis's (2.9) for a complete loss: the missing contribution of channel 1 to y. Once the channel
-works again no more commands are lost, and w fades like the missing motion.
+works again no more commands are lost, and w fades like the missing motion. A return, or the next
+loss, leaves the motion missing so far in ``fading``: s then belongs to the newer commands alone.
 
 At first s and the moment of the loss are known only roughly: ``mismatch`` learns both errors from
 the following ticks. F̂ differentiates, so it gets s as two lags in a row follow it.
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from firmware_model.compiled import firmware
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output
+from firmware_model.law.filters.whitener import add_signal
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
@@ -48,6 +50,11 @@ class State(Struct):
     followed: Annotated[float, "1", "s behind the second lag"]
     previous_output: Annotated[float, "y", "w of the last tick"]
     delay: Annotated[FloatArray, "y", "ring of w on its way into d̂", (MAX_SHOWN_TICKS,)]
+    fading: Annotated[biquad.State, "y", "state of G1 left by the losses and returns before"]
+    previous_fading: Annotated[float, "y", "their missing output in the last tick"]
+    fading_delay: Annotated[
+        FloatArray, "y", "ring of this output on its way into d̂", (MAX_SHOWN_TICKS,)
+    ]
 
 
 @firmware
@@ -64,6 +71,30 @@ def loss_shown(table: Table, state: layout.State) -> float:
         w: float = state.loss_model.delay[state.estimator.shown_index_1]
         return w
     return loss_output(table, state)
+
+
+@firmware
+def fading_output(table: Table, state: layout.State) -> float:
+    """Return the output that is still missing after the losses and returns before."""
+    zero = real(0.0, state.command_1)
+    fading: float = output(table.estimator.channel_1, state.loss_model.fading, zero)
+    return fading
+
+
+@firmware
+def fading_shown(table: Table, state: layout.State) -> float:
+    """Return ``fading_output`` as contained in d̂ of this tick, late by bus and dead time."""
+    if table.estimator.shown_ticks_1 > 0:
+        fading: float = state.loss_model.fading_delay[state.estimator.shown_index_1]
+        return fading
+    return fading_output(table, state)
+
+
+@firmware
+def missing_shown(table: Table, state: layout.State) -> float:
+    """Return all that is known to be missing in the measurement of this tick."""
+    missing: float = fading_shown(table, state) + known_share(state) * loss_shown(table, state)
+    return missing
 
 
 @firmware
@@ -109,40 +140,44 @@ def advance_loss_model(table: Table, state: layout.State) -> None:
     loss = state.loss_model
     w = advance(table.estimator.channel_1, loss.channel_1, lost_command(state))
     loss.previous_output = w
-    advance(table.estimator.channel_1, loss.earlier, real(0.0, w))
+    zero = real(0.0, w)
+    advance(table.estimator.channel_1, loss.earlier, zero)
+    fading = advance(table.estimator.channel_1, loss.fading, zero)
+    loss.previous_fading = fading
     if table.estimator.shown_ticks_1 > 0:
         loss.delay[state.estimator.shown_index_1] = w
+        loss.fading_delay[state.estimator.shown_index_1] = fading
 
 
 @firmware
 def take_over_candidate(table: Table, state: layout.State, share: float, sign: float) -> None:
-    """Add the candidate to the loss (``sign`` 1) or subtract the candidate (-1): s w is continuous.
+    """The candidate becomes the loss (``sign`` 1) or the return (-1); what was lost before fades.
 
     Args:
         table: the constant table.
         state: changed in place.
-        share: s from now on; a fading earlier loss becomes part of the new loss, with the learnt
-            errors of share and moment.
+        share: s from now on.
         sign: 1 or -1.
     """
     loss, test, g1 = state.loss_model, state.sequential_test, table.estimator.channel_1
-    earlier, moment = known_share(state) / share, state.mismatch.theta[1] / share
+    known, moment = known_share(state), state.mismatch.theta[1]
     shift = moment * output(g1, loss.earlier, real(0.0, share))
     for i in range(g1.n):
         for j in range(2):
-            before = earlier * loss.channel_1.accumulators[i, j]
-            before += moment * loss.earlier.accumulators[i, j]
-            loss.channel_1.accumulators[i, j] = before + sign * test.channel_1.accumulators[i, j]
+            left = known * loss.channel_1.accumulators[i, j]
+            loss.fading.accumulators[i, j] += left + moment * loss.earlier.accumulators[i, j]
+            loss.channel_1.accumulators[i, j] = sign * test.channel_1.accumulators[i, j]
             loss.earlier.accumulators[i, j] = test.earlier.accumulators[i, j]
-    white = state.mismatch.white
-    for i in range(table.mismatch.whitener.n):
-        for j in range(2):
-            before = earlier * white.lost.memory[i, j] + moment * white.earlier.memory[i, j]
-            white.lost.memory[i, j] = before + sign * test.white.memory[i, j]
-            white.earlier.memory[i, j] = 0.0
+    white, w = state.mismatch.white, table.mismatch.whitener
+    add_signal(w, white.fading, known, white.lost)
+    add_signal(w, white.fading, moment, white.earlier)
+    white.lost.memory[:] = white.earlier.memory[:] = 0.0
+    add_signal(w, white.lost, sign, test.white)
     for i in range(table.estimator.shown_ticks_1):
-        loss.delay[i] = earlier * loss.delay[i] + shift + sign * test.delay[i]
-    loss.previous_output = earlier * loss.previous_output + shift + sign * test.previous_output
+        loss.fading_delay[i] += known * loss.delay[i] + shift
+        loss.delay[i] = sign * test.delay[i]
+    loss.previous_fading += known * loss.previous_output + shift
+    loss.previous_output = sign * test.previous_output
     loss.share = share
     loss.between = loss.followed = possible_share(share)
 
@@ -152,6 +187,7 @@ def clear_loss_model(state: layout.State) -> None:
     """Nothing is lost."""
     loss = state.loss_model
     loss.channel_1.accumulators[:] = 0.0
-    loss.earlier.accumulators[:] = 0.0
-    loss.delay[:] = 0.0
+    loss.earlier.accumulators[:] = loss.fading.accumulators[:] = 0.0
+    loss.delay[:] = loss.fading_delay[:] = 0.0
+    loss.previous_fading = 0.0
     loss.share = loss.between = loss.followed = loss.previous_output = 0.0

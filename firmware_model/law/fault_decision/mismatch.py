@@ -85,6 +85,7 @@ class White(Struct):
     car_4: Annotated[whitener.State, "y", "of the fourth"]
     d_hat: Annotated[whitener.State, "y", "d̂"]
     sensor_error: Annotated[whitener.State, "y", "known error of the sensor"]
+    fading: Annotated[whitener.State, "y", "missing output left by earlier losses and returns"]
 
 
 class State(Struct):
@@ -172,7 +173,12 @@ def finite(value: float) -> float:
 
 @firmware
 def innovation(
-    constants: Constants, state: State, residual: float, known: float, share: float
+    constants: Constants,
+    state: State,
+    residual: float,
+    known: float,
+    fading: float,
+    share: float,
 ) -> float:
     """Return the innovation of this tick; θ and P are updated.
 
@@ -183,6 +189,7 @@ def innovation(
         state: of this module, after ``predict_mismatch``; changed in place.
         residual: d̂.
         known: the part of d̂ that a known sensor error hides.
+        fading: the part of d̂ left by earlier losses and returns.
         share: of the known loss in d̂.
     """
     n, x, gain = constants.n, state.regressor, state.gain
@@ -190,8 +197,9 @@ def innovation(
     w = constants.whitener
     shown = whiten(w, state.white.d_hat, residual)
     hidden = whiten(w, state.white.sensor_error, known)
-    new: float = shown + hidden - share * x[0]
-    state.previous_residual = residual + known - share * state.x[0]
+    left = whiten(w, state.white.fading, fading)
+    new: float = shown + hidden - left - share * x[0]
+    state.previous_residual = residual + known - fading - share * state.x[0]
     for i in range(n):
         new -= x[i] * theta[i]
     noise = constants.noise + constants.white * state.remainder
@@ -225,7 +233,7 @@ def clear_mismatch(constants: Constants, state: State) -> None:
     white.lost.memory[:] = white.earlier.memory[:] = 0.0
     white.car_1.memory[:] = white.car_2.memory[:] = 0.0
     white.car_3.memory[:] = white.car_4.memory[:] = 0.0
-    white.d_hat.memory[:] = white.sensor_error.memory[:] = 0.0
+    white.d_hat.memory[:] = white.sensor_error.memory[:] = white.fading.memory[:] = 0.0
 
 
 @firmware

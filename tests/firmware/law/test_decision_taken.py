@@ -62,27 +62,19 @@ def test_a_confirmed_loss_takes_the_candidate_over(before: int) -> None:
     assert (test.evidence, test.correlation, test.information, test.age) == (0.0, 0.0, 0.0, 0.0)
 
 
-def test_a_confirmed_share_is_never_nothing() -> None:
-    table, state = set_up(20.0, CLEAR, 0.0)
-    state.sequential_test.correlation = 0.0
-    tick(table, state)
-    assert state.loss_model.share == pytest.approx(0.01)
-
-
-@pytest.mark.parametrize("share", [0.6, 0.0])
-def test_a_return_takes_away_what_is_known_to_be_lost(share: float) -> None:
-    """Of a share of nothing a hundredth, by which is divided."""
-    table, state = set_up(60.0, CONFIRMED, share)
+def test_a_return_takes_away_what_is_known_to_be_lost() -> None:
+    table, state = set_up(60.0, CONFIRMED, 0.6)
     was = state.copy()
     assert tick(table, state) == CLEAR
-    taken = max(share, 0.01)
-    assert state.loss_model.share == pytest.approx(taken)
-    ours, expected = transferred(table, was, state, -taken)
+    loss = state.loss_model
+    assert loss.share == pytest.approx(0.6)
+    ours, expected = transferred(table, was, state, -0.6)
     np.testing.assert_allclose(ours, expected, rtol=1e-9)
-    motion = was.loss_model.channel_1.accumulators * (share / taken)
     np.testing.assert_allclose(
-        state.loss_model.channel_1.accumulators,
-        motion - was.sequential_test.channel_1.accumulators,
+        loss.fading.accumulators, 0.6 * was.loss_model.channel_1.accumulators
+    )
+    np.testing.assert_allclose(
+        loss.channel_1.accumulators, -was.sequential_test.channel_1.accumulators
     )
     assert state.sequential_test.evidence == 0.0
 

@@ -50,7 +50,7 @@ def filtered(table: Any, residual: FloatArray, x: FloatArray) -> tuple[FloatArra
     n, rows = int(table.mismatch.n), []
     for k, value in enumerate(residual.tolist()):
         state.mismatch.regressor[:n] = x[k, :n]
-        rows.append(innovation(table.mismatch, state.mismatch, value, 0.0, 0.0))
+        rows.append(innovation(table.mismatch, state.mismatch, value, 0.0, 0.0, 0.0))
     return np.array(rows), state
 
 
@@ -72,7 +72,7 @@ def test_a_signature_is_what_the_fault_changes_in_the_innovations(noise_pole: fl
     for k in range(TICKS):
         state.mismatch.regressor[:n] = x[k]
         residual = float(healthy[k] + size * shown[k])
-        new = innovation(table.mismatch, state.mismatch, residual, 0.0, 0.0)
+        new = innovation(table.mismatch, state.mismatch, residual, 0.0, 0.0, 0.0)
         assert new == pytest.approx(with_fault[k], rel=1e-12)
         take_in(table, state, own, limits, float(shown[k]), new)
         f = (with_fault[k] - without[k]) / size

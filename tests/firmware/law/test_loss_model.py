@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,8 @@ from firmware_model.law.fault_decision.loss_model import (
     advance_loss_model,
     clear_loss_model,
     earlier_shown,
+    fading_output,
+    fading_shown,
     follow_share,
     known_share,
     loss_output,
@@ -68,11 +69,13 @@ def test_behind_the_whitener_s_w_is_continuous_too(sign: float) -> None:
     state.loss_model.share = 0.5
     apart, share = state.copy(), 0.8
     take_over_candidate(table, state, share, sign)
-    signals = (state.mismatch.white.lost, apart.mismatch.white.lost, apart.sequential_test.white)
+    now, before = state.mismatch.white, apart.mismatch.white
+    signals = (now.fading, now.lost, before.lost, apart.sequential_test.white)
     for _ in range(6):  # whatever comes: here, nothing
-        together, old, new = (whiten(table.mismatch.whitener, each, 0.0) for each in signals)
-        assert share * together == pytest.approx(0.5 * old + sign * share * new, abs=1e-12)
-        assert abs(together) > 1e-9
+        fading, lost, old, new = (whiten(table.mismatch.whitener, each, 0.0) for each in signals)
+        assert fading + share * lost == pytest.approx(0.5 * old + sign * share * new, abs=1e-12)
+        assert abs(fading) > 1e-9
+        assert abs(lost) > 1e-9
 
 
 def late(w: FloatArray, latency: int) -> FloatArray:
@@ -123,32 +126,42 @@ def test_the_candidate_is_driven_by_all_commands_that_had_not_acted(
 @pytest.mark.parametrize("latency", LATENCIES)
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize(("known", "share"), [(0.0, 0.7), (0.5, 0.9), (0.8, 0.8)])
-def test_s_w_is_continuous_where_a_candidate_is_taken_over(
-    known: float, share: float, sign: float, latency: int
+@pytest.mark.parametrize("moment", [0.0, 0.3])
+def test_what_is_missing_is_continuous_where_a_candidate_is_taken_over(
+    known: float, share: float, sign: float, latency: int, moment: float
 ) -> None:
-    """s w of before and the candidate's, in this tick, the last and all that come."""
+    """The loss of before, with its learnt share and moment, and the candidate's, from then on."""
     table, state = begun(latency)
     for k, command in enumerate(COMMANDS):
         if k == 17:
             start_candidate(table, state)
         advance(table, state, command)
-    state.loss_model.share = known - 0.1
+    loss, older_loss = state.loss_model, 2.0 * state.sequential_test.earlier.accumulators
+    loss.earlier.accumulators[:] = older_loss
+    loss.share = known - 0.1
     state.mismatch.theta[0] = 0.1 if known else 0.0  # what has been learnt of the share since
+    state.mismatch.theta[1] = moment
     if known == 0.0:
-        state.loss_model.share = 0.0
+        loss.share = 0.0
     apart, together = state.copy(), state
     take_over_candidate(table, together, share, sign)
-    loss = together.loss_model
     assert loss.share == loss.between == loss.followed == share
-    assert share * loss.previous_output == pytest.approx(
+    older = output(table.estimator.channel_1, apart.loss_model.earlier, 0.0)
+    assert loss.previous_fading + share * loss.previous_output == pytest.approx(
         known * apart.loss_model.previous_output
+        + moment * older
         + sign * share * apart.sequential_test.previous_output
     )
+    pairs = [(loss_output, candidate_output, fading_output)]
+    if latency == 0 or moment == 0.0:  # the ring takes the change by the moment for a constant
+        pairs.append((loss_shown, candidate_shown, fading_shown))
     for _ in range(6):  # whatever is lost from now on: here, nothing
         apart.command_1 = together.command_1 = 0.0
-        for known_w, its_w in ((loss_output, candidate_output), (loss_shown, candidate_shown)):
+        older = output(table.estimator.channel_1, apart.loss_model.earlier, 0.0)
+        for known_w, its_w, fading in pairs:
             expected = known * known_w(table, apart) + sign * share * its_w(table, apart)
-            assert share * known_w(table, together) == pytest.approx(expected, abs=1e-12)
+            found = fading(table, together) + share * known_w(table, together)
+            assert found == pytest.approx(expected + moment * older, abs=1e-12)
             assert abs(expected) > 1e-6
         older = output(table.estimator.channel_1, apart.sequential_test.earlier, 0.0)
         assert earlier_shown(table, together) == pytest.approx(older, rel=1e-12)
@@ -159,15 +172,16 @@ def test_s_w_is_continuous_where_a_candidate_is_taken_over(
 
 def test_what_is_cleared_is_nothing() -> None:
     _, state = begun(3)
-    for name in ("share", "between", "followed", "previous_output", "delay"):
-        state.loss_model[name] = 1.0
-    state.loss_model.channel_1.accumulators[:] = math.pi
-    state.loss_model.earlier.accumulators[:] = math.pi
+    loss = state.loss_model
+    for name in ("share", "between", "followed", "previous_output", "previous_fading"):
+        loss[name] = 1.0
+    for ring in (loss.delay, loss.fading_delay):
+        ring[:] = 0.5
+    for model in (loss.channel_1, loss.earlier, loss.fading):
+        model.accumulators[:] = 0.5
+    assert 0 not in np.frombuffer(loss.tobytes())
     clear_loss_model(state)
-    for name in ("share", "between", "followed", "previous_output", "delay"):
-        assert not np.any(state.loss_model[name]), name
-    assert not state.loss_model.channel_1.accumulators.any()
-    assert not state.loss_model.earlier.accumulators.any()
+    assert not any(loss.tobytes())
 
 
 def test_the_share_that_is_compensated_follows_by_two_lags() -> None:

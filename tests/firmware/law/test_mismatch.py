@@ -136,7 +136,7 @@ def test_a_new_loss_begins_with_share_and_moment_unknown() -> None:
     state = controller.init(table)[0]
     for command, model in zip(COMMANDS[:9], MODELLED, strict=False):
         predict(table, state, command, model, 0.3, 0.2)
-        innovation(table.mismatch, state.mismatch, 0.1, 0.0, 0.0)
+        innovation(table.mismatch, state.mismatch, 0.1, 0.0, 0.0, 0.0)
     before = state.mismatch.copy()
     learn_loss(state.mismatch, 0.09, 25.0)
     assert state.mismatch.theta[:2].tolist() == [0.0, 0.0]
@@ -157,7 +157,7 @@ def test_theta_finds_the_place_of_a_car(place: tuple[float, float]) -> None:
     residuals = place[0] * x[0] + place[1] * x[1] + noise
     for command, model, residual in zip(COMMANDS, MODELLED, residuals, strict=True):
         predict(tables[0], state, command, model, 0.0)
-        innovation(tables[0].mismatch, state.mismatch, residual, 0.0, 0.0)
+        innovation(tables[0].mismatch, state.mismatch, residual, 0.0, 0.0, 0.0)
     deviation = np.sqrt(np.diag(covariance_of(state.mismatch)))[2:4]
     assert (np.abs(state.mismatch.theta[2:4] - place) < 4.0 * deviation).all()
     assert deviation.max() < 0.05
@@ -180,7 +180,7 @@ def test_innovations_of_coloured_noise_on_another_car_are_white_and_as_large_as_
     state, new = controller.init(tables[0])[0], []
     for k, residual in enumerate(noise + 0.6 * x[0] - 0.3 * x[1]):
         predict(tables[0], state, u[k], modelled[k], 0.0)
-        value = innovation(tables[0].mismatch, state.mismatch, residual, 0.0, 0.0)
+        value = innovation(tables[0].mismatch, state.mismatch, residual, 0.0, 0.0, 0.0)
         new.append(value / math.sqrt(state.mismatch.variance))
     normal = np.array(new[200:])
     assert normal.var() == pytest.approx(1.0, abs=0.1)

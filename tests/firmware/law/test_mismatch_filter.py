@@ -76,7 +76,7 @@ def test_it_is_the_kalman_filter_of_full_matrices(seed: int) -> None:
         wander = min(state.change / state.extent, 1.0)
         expected = theirs.step(x, residual - COLOUR * before, wander, float(state.remainder))
         before = residual
-        ours = innovation(constants, state, residual, 0.0, 0.0)
+        ours = innovation(constants, state, residual, 0.0, 0.0, 0.0)
         assert (ours, state.variance) == pytest.approx(expected, rel=1e-9, abs=1e-12)
         np.testing.assert_allclose(state.theta, theirs.theta, atol=1e-9)
         np.testing.assert_allclose(covariance_of(state), theirs.p, atol=1e-9)
@@ -85,7 +85,7 @@ def test_it_is_the_kalman_filter_of_full_matrices(seed: int) -> None:
 def test_so_is_a_residual_that_is_no_number_though_x_is_one() -> None:
     constants, state = begun()
     state.regressor[:] = state.extent = 0.1
-    innovation(constants, state, math.inf, 0.0, 0.0)
+    innovation(constants, state, math.inf, 0.0, 0.0, 0.0)
     assert np.isfinite(state.variance)
     assert not state.theta.any()
     assert state.previous_residual == 0.0
@@ -95,7 +95,7 @@ def test_a_car_that_has_never_moved_may_be_any() -> None:
     """Nothing has shown yet, so there is no ratio of change to extent."""
     constants, state = begun()
     state.extent = state.change = 0.0
-    innovation(constants, state, 0.1, 0.0, 0.0)
+    innovation(constants, state, 0.1, 0.0, 0.0, 0.0)
     np.testing.assert_allclose(state.memory, 1.0 - constants.forgetting)
 
 
@@ -109,7 +109,7 @@ def test_an_overflow_is_forgotten(huge: float) -> None:
     for value in (0.1, huge, -huge):
         state.regressor[:] = value
         state.extent, state.change, state.remainder = value, value, 0.0
-        innovation(constants, state, value, 0.0, 0.0)
+        innovation(constants, state, value, 0.0, 0.0, 0.0)
     for name in (
         "x", "theta", "extent", "change", "remainder", "previous_model_output", "previous_residual",
     ):  # fmt: skip

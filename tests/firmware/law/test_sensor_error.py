@@ -56,7 +56,7 @@ def filtered(table: Any, state: Any, residual: FloatArray, x: FloatArray) -> lis
     rows, n = [], int(table.mismatch.n)
     for value, row in zip(residual.tolist(), x, strict=True):
         state.mismatch.regressor[:n] = row
-        rows.append(float(innovation(table.mismatch, state.mismatch, value, 0.0, 0.0)))
+        rows.append(float(innovation(table.mismatch, state.mismatch, value, 0.0, 0.0, 0.0)))
     return rows
 
 
@@ -82,7 +82,7 @@ def test_what_follows_is_what_would_have_been_without_the_error(name: str, lags:
     for k in range(TICKS):
         known = sensor_error_shown(table, state)
         state.mismatch.regressor[:n] = x[k]
-        new = innovation(table.mismatch, state.mismatch, healthy[k] - shown[k], known, 0.0)
+        new = innovation(table.mismatch, state.mismatch, healthy[k] - shown[k], known, 0.0, 0.0)
         rows.append(new)
         weigh_signatures(table, state, new)
         if k == FOUND - 1:

@@ -53,7 +53,7 @@ def learn(table: Any, state: Any, residuals: FloatArray, share: float) -> None:
         state.command_1 = COMMANDS[k]
         show_other_cars(table, state, state.command_1, state.command_2)
         predict_mismatch(table, state, MODELLED[k], 0.0, 0.0)
-        new = innovation(table.mismatch, state.mismatch, residual, 0.0, 0.0)
+        new = innovation(table.mismatch, state.mismatch, residual, 0.0, 0.0, 0.0)
         update_test(table, state, new, share)
         advance_candidate(table, state)
         advance_other_cars(table, state)

@@ -135,7 +135,7 @@ def test_another_pendulum_is_not_taken_for_a_loss(gains: tuple[float, float]) ->
 
 TUNINGS: dict[str, list[Values]] = {
     "pendulum": [(0.0033, 3, 0.0022, 3), (0.003, 3, 0.06, 3), (0.0033, 3, 0.018, 3)],
-    "oversteering": [(0.0001, 3, 0.0068, 3), (0.003, 2, 0.2, 3), (0.01, 2, 5.0, 3)],
+    "oversteering": [(0.001, 2, 0.01, 3), (0.006, 2, 0.2, 3), (0.01, 2, 5.0, 3)],
     "nonminimum-phase": [(0.001, 1, 0.01, 2), (0.05, 1, 0.1, 2), (0.0047, 1, 0.1, 3)],
     "satellite": [(0.003, 3, 0.02, 3), (0.003, 4, 0.5, 4), (0.05, 3, 1.0, 3)],
 }

@@ -10,7 +10,7 @@ import pytest
 
 @pytest.fixture(autouse=True, scope="module")
 def a_time_zone():
-    """ASC has local time: one that is not UTC, so that a mix-up shows."""
+    """ASC has local time; a zone other than UTC shows a confusion of the two."""
     before = os.environ.get("TZ")
     os.environ["TZ"] = "America/St_Johns"
     time.tzset()

@@ -212,8 +212,8 @@ def test_a_stop_request_ends_between_two_ticks(tmp_path):
 
 
 HOLD_TICKS, STEADY_NM = 10, 42.54  # of the actuators; for 1 m/s²
-# Of a pulse of the torque that was missing for the rest of 30 ticks, what D* shows before the first
-# command that may be another can act: the rest is made up for.
+# D* after a torque pulse is missing for the rest of 30 ticks, until the first new command can act.
+# The law makes up for the rest.
 MISSING = [(-STEADY_NM, 0.0) for tick in range(30 - HOLD_TICKS + 2)]
 SHORT_OUTAGE_MPS2 = 1.05 * float(np.abs(dstar_under(np.array(MISSING))).max())
 
@@ -229,7 +229,7 @@ class Restart:
         done, self.plant = self.world.run(log, self.on_tick)
         assert done == scenario.ticks
         self.signals = read_signals(log, self.world.network, scenario.tick_s)
-        # The actuator without a command is at zero: what it does when it hears one again counts.
+        # The actuator without a command is at zero; the first new command ends the gap.
         self.torque = np.nan_to_num(self.signals.torque_nm)
         back = again or back
         self.first = back + int(np.argmax(np.isfinite(self.signals.torque_nm[back:])))

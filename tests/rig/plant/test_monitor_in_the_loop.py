@@ -77,9 +77,9 @@ def test_no_weather_stops_a_car_that_follows() -> None:
 @pytest.mark.parametrize(
     ("name", "changes", "free", "bound"),
     [
-        ("chassis-can", {"reference.kind": "sine"}, 5.3, 3.8),
-        ("default", {"reference.kind": "step"}, 5.3, 3.8),
-        ("noisy", {"reference.kind": "sine"}, 4.0, 3.8),
+        ("chassis-can", {"reference.kind": "sine"}, 16.0, 5.4),
+        ("default", {"reference.kind": "step"}, 6.0, 3.8),
+        ("noisy", {"reference.kind": "step"}, 6.0, 5.4),
     ],
 )
 def test_a_car_on_ice_is_bounded(
