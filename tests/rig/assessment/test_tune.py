@@ -27,7 +27,7 @@ from can_rig.assessment.tuning.candidate import (
 )
 from can_rig.assessment.tuning.report import as_dict, options, rows
 from can_rig.assessment.tuning.search import LONGEST_FRONT, Tunings, tune
-from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.build import continuous_plant, controller_table
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, delay_margins, law_in
 from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
@@ -124,7 +124,8 @@ def test_the_front_is_the_front_of_all_that_would_do() -> None:
 
 def test_what_passes_comes_to_rest_in_drives_with_its_spare_tick(found: Tunings) -> None:
     """Two vertices, D* a tick later than is known, the loss in the middle; ``simulate`` alone."""
-    scenario, table = found.scenario, table_of(found.scenario, found.chosen)
+    scenario = found.scenario
+    table = controller_table(dataclasses.replace(scenario, design=found.chosen.design), None)
     some = cars(scenario.model, parameter_ranges(scenario.model, 0.2))
     left = np.ones((10_000, 2))
     left[5000:, 0] = 0.0
