@@ -1,4 +1,4 @@
-"""The options of the commands that decode a log: which part of the log, by which databases."""
+"""Options of the commands that decode a log: the part of the log, and the databases."""
 
 from __future__ import annotations
 

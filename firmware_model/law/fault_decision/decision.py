@@ -72,7 +72,7 @@ class Constants(Struct):
     recover: Annotated[
         float, "1", "evidence that ends a loss: more, because a return is not urgent"
     ]
-    suspect: Annotated[float, "1", "evidence from which a loss is compensated provisionally"]
+    suspect: Annotated[float, "1", "evidence of a suspicion; confirms a candidate of a takeover"]
     horizon: Annotated[float, "tick", "time within which a new loss must show"]
     shown: Annotated[float, "1", "energy of a constant of size 1 behind W within ``horizon``"]
 

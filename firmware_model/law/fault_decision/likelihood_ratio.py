@@ -13,7 +13,7 @@ rejects the moment, and the candidate restarts at this tick. An f that fades bef
 restarts the candidate too, because no more evidence can follow. The chance that a healthy car takes
 one candidate beyond h is e^-h at most (Wald), and there is at most one a tick: so h is the
 logarithm of the ticks between two false alarms, whatever the drive, and needs no tuning. A takeover
-begins few candidates in the life of a controller, and a loss from before is likely there.
+begins few candidates in the life of a controller, so a smaller h confirms these candidates.
 
 The test for the return of a lost channel is the same with the opposite sign.
 """

@@ -1,4 +1,4 @@
-"""What a target accepts, to the last value that means something, and what it is by default."""
+"""Accepted values of a target, to the last meaningful value, and the defaults."""
 
 from __future__ import annotations
 

@@ -166,7 +166,7 @@ def test_a_biased_sensor_is_no_loss() -> None:
 
 @pytest.mark.parametrize("value", [1.0, -1.0])
 def test_a_bias_that_no_command_explains_is_no_loss(value: float) -> None:
-    """D* jumps while nothing was commanded: no channel that was lost makes that d̂."""
+    """D* jumps without a command: no lost channel causes such a d̂."""
     firmware = Firmware(build(FAST, confirming(0)))
     answer = firmware.step(0.0, value)
     assert answer.fault_state == CLEAR

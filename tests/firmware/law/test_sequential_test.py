@@ -209,7 +209,7 @@ def test_a_candidate_is_as_old_as_the_ticks_that_it_has_seen() -> None:
 
 @pytest.mark.parametrize("latency", [0, 1, 3])
 def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency: int) -> None:
-    """The pulse response of G1, by scipy; of a command that is gone the next one stands for it."""
+    """The pulse response of G1, by scipy; the next command stands for a forgotten command."""
     start, ticks = 17, 60
     table = build(DESIGN, target(latency))
     tables = changed(table, **FOR_EVER)

@@ -30,7 +30,7 @@ LONG = ["--set", "duration_s=2000"]
 
 
 class Running(NamedTuple):
-    """A run that has begun, and what to look at."""
+    """A run in progress, with its handles."""
 
     process: subprocess.Popen[str]
     log: Path

@@ -22,7 +22,7 @@ CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = 0.0, 1.0, 2.0, 3.0
 
 
 def states(scenario: Scenario, *changes: tuple[int, float]) -> np.ndarray:
-    """The fault state of every tick: CLEAR, and from each tick named what it changes to."""
+    """The fault state of every tick: CLEAR, then the state of each named tick from that tick on."""
     state = np.full(scenario.ticks, CLEAR)
     for tick, value in changes:
         state[tick:] = value
