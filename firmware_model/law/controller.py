@@ -41,6 +41,7 @@ from firmware_model.law.fault_decision.decision import (
     decide,
     show_acting_commands,
 )
+from firmware_model.law.fault_decision.hypotheses.echoes import advance_echoes
 from firmware_model.law.fault_decision.hypotheses.sensor_error import advance_sensor_error
 from firmware_model.law.fault_decision.hypotheses.signatures import advance_signatures
 from firmware_model.law.fault_decision.hypotheses.verdict import (
@@ -342,6 +343,7 @@ def advance_models(table: Table, state: State, short_1: float, short_2: float) -
     advance_candidate(table, state)
     advance_other_cars(table, state)
     advance_signatures(table, state)
+    advance_echoes(table, state)
     advance_sensor_error(table, state)
     advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
     advance_motion(table.takeover, table.estimator.channel_1, state.takeover)
@@ -376,7 +378,7 @@ def reset(table: Table, state: State, reference: float) -> None:
     state.fault_state = CLEAR
     clear_loss_model(state)
     start_candidate(table, state)
-    clear_hypotheses(state)
+    clear_hypotheses(table, state)
     clear_monitor(state.monitor)
     state.safe_stop.elapsed = state.standby.elapsed = 0.0
     state.standby.slow = 0

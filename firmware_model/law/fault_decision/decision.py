@@ -27,6 +27,7 @@ from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer
 from firmware_model.law.fault_decision.hypotheses.sensor_error import sensor_error_shown
 from firmware_model.law.fault_decision.hypotheses.signatures import begin_all
 from firmware_model.law.fault_decision.hypotheses.verdict import (
+    TORQUE_LOST,
     found_elsewhere,
     weigh_hypotheses,
 )
@@ -72,6 +73,7 @@ class Constants(Struct):
     recover: Annotated[
         float, "1", "evidence that ends a loss: more, because a return is not urgent"
     ]
+    denied: Annotated[float, "1", "evidence that confirms a loss against the echo of actuator 1"]
     suspect: Annotated[float, "1", "evidence of a suspicion; confirms a candidate of a takeover"]
     horizon: Annotated[float, "tick", "time within which a new loss must show"]
     shown: Annotated[float, "1", "energy of a constant of size 1 behind W within ``horizon``"]
@@ -110,8 +112,9 @@ def decide(
         if test.evidence > constants.recover:
             recover(table, state)
         return
-    needed = constants.suspect if test.of_takeover == 1 else constants.confirm
-    if test.evidence > needed:
+    if is_acquitted(table, state):
+        state.fault_state = CANNOT_TELL
+    elif test.evidence > needed_evidence(table, state):
         confirm(table, state)
     elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
         state.fault_state = SUSPECTED
@@ -120,6 +123,33 @@ def decide(
         state.fault_state = CLEAR
         if shows < constants.confirm * state.mismatch.variance:
             state.fault_state = CANNOT_TELL
+
+
+@firmware
+def is_acquitted(table: Table, state: layout.State) -> bool:
+    """Whether the echo of actuator 2 explains d̂ at least half as well as a loss of channel 1."""
+    own = state.hypotheses
+    other = own.signatures.force_echo.candidate.evidence
+    half = real(0.5, other)
+    acquitted: bool = other > table.decision.suspect and other > half * own.evidence[TORQUE_LOST]
+    return acquitted
+
+
+@firmware
+def needed_evidence(table: Table, state: layout.State) -> float:
+    """The evidence that confirms a loss of channel 1.
+
+    Less is needed where the echo of actuator 1 says so too, more where the echo denies the loss.
+    """
+    constants, test, own = table.decision, state.sequential_test, state.hypotheses
+    needed: float = constants.suspect if test.of_takeover == 1 else constants.confirm
+    if own.echoes.left_1 > 0:
+        half = real(0.5, needed)
+        if own.signatures.torque_echo.candidate.evidence > half * test.evidence:
+            needed = constants.suspect
+        else:
+            needed = constants.denied
+    return needed
 
 
 @firmware

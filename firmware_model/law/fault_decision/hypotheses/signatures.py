@@ -58,6 +58,8 @@ class State(Struct):
     force_lost: Annotated[One, "1", "loss of channel 2"]
     sensor_biased: Annotated[One, "y", "a bias of the sensor"]
     sensor_drifting: Annotated[One, "y/tick", "a drift of the sensor"]
+    torque_echo: Annotated[One, "1", "the error of the echo of actuator 1"]
+    force_echo: Annotated[One, "1", "the error of the echo of actuator 2"]
     ramp: Annotated[float, "tick", "the drift of 1/tick as of this tick"]
     commanded: Annotated[float, "y²", "Σ (commanded effect of channel 2 on y)²"]
     missing: Annotated[float, "y²", "Σ commanded effect · missing effect in y"]
@@ -87,6 +89,15 @@ def weigh_signatures(table: Table, state: layout.State, innovation: float) -> No
         own.commanded = own.missing = own.before = 0.0
     if not state.sequential_test.age > real(0.0, one):  # the candidate for channel 1 begins again
         own.before = force.candidate.evidence
+    echoes = state.hypotheses.echoes
+    if echoes.left_1 > 0:
+        weigh_echo(table, state, own.torque_echo, g1, echoes.error_1, innovation)
+    elif own.torque_echo.candidate.age > 0.0:
+        begin(own.torque_echo)
+    if echoes.left_2 > 0:
+        weigh_echo(table, state, own.force_echo, g2, echoes.error_2, innovation)
+    elif own.force_echo.candidate.age > 0.0:
+        begin(own.force_echo)
     half = real(0.5, innovation)
     fresh = half * innovation * innovation / state.mismatch.variance
     bias, drift = own.sensor_biased, own.sensor_drifting
@@ -108,6 +119,22 @@ def weigh_signatures(table: Table, state: layout.State, innovation: float) -> No
 
 
 @firmware
+def weigh_echo(
+    table: Table,
+    state: layout.State,
+    own: One,
+    channel: biquad.Constants,
+    error: float,
+    innovation: float,
+) -> None:
+    """Weigh the error of an echo as the missing output of its actuator; see ``echoes``."""
+    shown = output(channel, own.answer, error)
+    take_in(table, state, own.candidate, table.hypotheses.echoes.share, shown, innovation)
+    if has_failed(table.hypotheses.signatures.candidate, own.candidate):
+        begin(own)
+
+
+@firmware
 def begin(hypothesis: One) -> None:
     """Its onset is now."""
     start(hypothesis.candidate)
@@ -119,6 +146,8 @@ def begin_all(state: State) -> None:
     """The onset of each is now."""
     begin(state.torque_offset)
     begin(state.force_lost)
+    begin(state.torque_echo)
+    begin(state.force_echo)
     begin(state.sensor_biased)
     begin(state.sensor_drifting)
     state.ramp = state.jump = state.commanded = state.missing = state.before = 0.0
@@ -141,6 +170,11 @@ def advance_signatures(table: Table, state: layout.State) -> None:
     one = real(1.0, own.ramp)
     advance(estimator.channel_1, own.torque_offset.answer, -one)
     advance(estimator.channel_2, own.force_lost.answer, state.other_cars.command_2)
+    echoes = state.hypotheses.echoes
+    if echoes.left_1 > 0:
+        advance(estimator.channel_1, own.torque_echo.answer, echoes.error_1)
+    if echoes.left_2 > 0:
+        advance(estimator.channel_2, own.force_echo.answer, echoes.error_2)
     advance(estimator.measurement, own.sensor_biased.answer, -one)
     advance(estimator.measurement, own.sensor_drifting.answer, own.ramp)
     own.ramp -= one

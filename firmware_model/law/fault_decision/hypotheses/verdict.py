@@ -25,6 +25,13 @@ from firmware_model.law.fault_decision.hypotheses import (
     signatures,
 )
 from firmware_model.law.fault_decision.hypotheses.candidate import likeliest
+from firmware_model.law.fault_decision.hypotheses.echoes import (
+    Constants as EchoesConstants,
+)
+from firmware_model.law.fault_decision.hypotheses.echoes import (
+    State as EchoesState,
+)
+from firmware_model.law.fault_decision.hypotheses.echoes import settle_echoes
 from firmware_model.law.fault_decision.hypotheses.frozen import (
     Constants as FrozenConstants,
 )
@@ -73,6 +80,7 @@ class Constants(Struct):
     signatures: Annotated[
         SignaturesConstants, "1", "of torque offset, lost force and sensor errors"
     ]
+    echoes: Annotated[EchoesConstants, "1", "of the actuators' echoes"]
     frozen: Annotated[FrozenConstants, "1", "of a frozen sensor"]
     torque_lost: Annotated[candidate.Limits, "1", "limits of the lost or returned share"]
     ahead: Annotated[float, "1", "least ratio of a verdict's evidence to faults at other places"]
@@ -87,6 +95,7 @@ class State(Struct):
     """State."""
 
     signatures: Annotated[SignaturesState, "1", "of torque offset, lost force and sensor errors"]
+    echoes: Annotated[EchoesState, "1", "what the actuators report"]
     frozen: Annotated[FrozenState, "1", "of a frozen sensor"]
     evidence: Annotated[
         FloatArray, "1", "of each hypothesis, by the number of its verdict", (HYPOTHESES,)
@@ -111,8 +120,13 @@ def weigh_hypotheses(table: Table, state: layout.State, innovation: float, expec
     weigh_frozen(table, state, innovation, expected)
     own = state.hypotheses
     own.evidence[TORQUE_LOST] = torque_evidence(table, state)
-    own.evidence[TORQUE_OFFSET] = own.signatures.torque_offset.candidate.evidence
-    own.evidence[FORCE_LOST] = own.signatures.force_lost.candidate.evidence
+    weighed = own.signatures
+    own.evidence[TORQUE_OFFSET] = max(
+        weighed.torque_offset.candidate.evidence, weighed.torque_echo.candidate.evidence
+    )
+    own.evidence[FORCE_LOST] = max(
+        weighed.force_lost.candidate.evidence, weighed.force_echo.candidate.evidence
+    )
     own.evidence[SENSOR_BIASED] = own.signatures.sensor_biased.candidate.evidence
     own.evidence[SENSOR_DRIFTING] = own.signatures.sensor_drifting.candidate.evidence
     own.evidence[SENSOR_FROZEN] = own.frozen.evidence
@@ -280,10 +294,11 @@ def size_of(own: signatures.State, fault: int) -> float:
 
 
 @firmware
-def clear_hypotheses(state: layout.State) -> None:
+def clear_hypotheses(table: Table, state: layout.State) -> None:
     """Nothing is known."""
     own = state.hypotheses
     begin_all(own.signatures)
+    settle_echoes(table, state)
     thaw(own.frozen)
     own.frozen.measurement = own.frozen.expected = own.found_size = 0.0
     own.evidence[:] = 0.0
