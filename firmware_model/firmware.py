@@ -9,7 +9,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from firmware_model.law import controller, schedule
-from firmware_model.law.fault_decision.hypotheses import echoes, verdict
+from firmware_model.law.fault_decision import echoes
+from firmware_model.law.fault_decision.hypotheses import verdict
 from firmware_model.law.fault_decision.lost_commands import act_first
 from firmware_model.law.filters import biquad
 from firmware_model.law.layout import State, Table, precision_of
@@ -173,6 +174,12 @@ class Firmware:
         """What ``hypotheses`` makes of d̂, now and after any further ``step``; read only."""
         hypotheses: verdict.State = self._states[0]["hypotheses"]
         return hypotheses
+
+    @property
+    def echo_errors(self) -> tuple[float, float]:
+        """Modelled less reported output of both actuators; 0 without an echo; see ``echoes``."""
+        heard = self._states[0].echoes
+        return float(heard.error_1), float(heard.error_2)
 
     @property
     def commands(self) -> tuple[float, float]:

@@ -35,7 +35,7 @@ from firmware_model.analysis.loop import (
 )
 from firmware_model.analysis.sampled_plant import SampledPlant, follow
 from firmware_model.law import controller as law
-from firmware_model.law.fault_decision.hypotheses.echoes import hear_first
+from firmware_model.law.fault_decision.echoes import hear_first
 from firmware_model.law.layout import Table, precision_of, table_type
 from firmware_model.law.schedule import Constants, change_first_speed
 from firmware_model.law.schedule import State as BlendState

@@ -24,7 +24,7 @@ from firmware_model.discretisation.tustin import tustin, zoh
 from firmware_model.discretisation.whitening import Whitening, whitening
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
-from firmware_model.law.fault_decision.hypotheses.echoes import Constants as EchoesConstants
+from firmware_model.law.fault_decision.echoes import Constants as EchoesConstants
 from firmware_model.law.fault_decision.hypotheses.frozen import Constants as FrozenConstants
 from firmware_model.law.filters import biquad, whitener
 from firmware_model.law.filters.estimator import Constants as EstimatorConstants
@@ -54,13 +54,13 @@ def fill_hypotheses(table: Table, target: Target) -> None:
         (signatures.force_lost, LEAST_SHARE, MOST_SHARE),
         (signatures.sensor_biased, -math.inf, math.inf),
         (signatures.sensor_drifting, -math.inf, math.inf),
-        (constants.echoes.share, LEAST_SHARE, MOST_SHARE),
+        (table.echoes.share, LEAST_SHARE, MOST_SHARE),
         (constants.frozen.size_of_one, 1.0, 1.0),
     ):
         limits.least, limits.most = least, most
     fill_frozen(constants.frozen, target)
     if target.echoes is not None:
-        fill_echoes(constants.echoes, target.echoes, target.tick_s)
+        fill_echoes(table.echoes, target.echoes, target.tick_s)
 
 
 def fill_echoes(echoes: EchoesConstants, actuators: tuple[Stage, Stage], tick_s: float) -> None:
@@ -72,6 +72,10 @@ def fill_echoes(echoes: EchoesConstants, actuators: tuple[Stage, Stage], tick_s:
             _fill_filter(filtered, zoh(lag, tick_s))
         else:  # the command that arrived a tick ago
             filtered.n, filtered.coefficients[0] = 1, (0.0, 1.0, 0.0, 1.0, 0.0)
+    slowest_s = max(
+        (-1.0 / pole.real for pole in actuators[0].transfer_function.poles), default=0.0
+    )
+    echoes.response_1 = math.ceil(RESPONSE * slowest_s / tick_s) + 1.0
     echoes.own_dead_1, echoes.own_dead_2 = (
         round(actuator.dead_time_s / tick_s) for actuator in actuators
     )
@@ -155,7 +159,7 @@ RESTART = -1.0  # evidence that ends a candidate
 FRESHNESS = 0.1  # least growth of a candidate's information when the age doubles
 DEVIATIONS, NEVER = 3.0, 1e9  # threshold for losses above the model's channel
 SHARE_VARIANCE = 0.09  # of the share at the confirmation of a loss, at most
-DENIED = 3.0  # evidence of a loss over usual evidence, where the echo says that the motor works
+DENIED = 10.0  # evidence of a loss over usual evidence, where the echo says that the motor works
 RECOVER = 5.0  # evidence of a return over evidence of a loss
 MOMENT = 0.5  # deviation of a loss's moment, as a part of the time to confirmation
 LEAST_DOUBT = 0.04  # for cars with a G1 20 % off the model
@@ -171,6 +175,7 @@ REMAINDER_S = 0.12  # time constant of the remainder beyond the first order
 WHITE = 0.1  # white part of the remainder
 RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's change of G1 u1
 POWERLESS_S = 0.3  # a car follows large commands sooner
+RESPONSE = 2.0  # time constants of an actuator until its echo misses most of a lost command
 ECHO_S, LEAST_ECHO_TICKS = 0.1, 5  # an echo that stays away for longer gives no information
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
 

@@ -41,7 +41,7 @@ from firmware_model.law.fault_decision.decision import (
     decide,
     show_acting_commands,
 )
-from firmware_model.law.fault_decision.hypotheses.echoes import advance_echoes
+from firmware_model.law.fault_decision.echoes import advance_echoes, settle_echoes
 from firmware_model.law.fault_decision.hypotheses.sensor_error import advance_sensor_error
 from firmware_model.law.fault_decision.hypotheses.signatures import advance_signatures
 from firmware_model.law.fault_decision.hypotheses.verdict import (
@@ -378,7 +378,8 @@ def reset(table: Table, state: State, reference: float) -> None:
     state.fault_state = CLEAR
     clear_loss_model(state)
     start_candidate(table, state)
-    clear_hypotheses(table, state)
+    clear_hypotheses(state)
+    settle_echoes(table, state)
     clear_monitor(state.monitor)
     state.safe_stop.elapsed = state.standby.elapsed = 0.0
     state.standby.slow = 0

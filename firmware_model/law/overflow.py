@@ -43,7 +43,7 @@ def clear_memories(table: Table, state: State) -> None:
     if not math.isfinite(sum_of_models(table, state)):
         clear_models(state)
     start_candidate(table, state)
-    clear_hypotheses(table, state)
+    clear_hypotheses(state)
     clear_prediction(state.prediction)
     end_takeover(state.takeover)
 

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer
+from firmware_model.law.fault_decision.echoes import denies, says_lost
 from firmware_model.law.fault_decision.hypotheses.sensor_error import sensor_error_shown
 from firmware_model.law.fault_decision.hypotheses.signatures import begin_all
 from firmware_model.law.fault_decision.hypotheses.verdict import (
@@ -141,14 +142,12 @@ def needed_evidence(table: Table, state: layout.State) -> float:
 
     Less is needed where the echo of actuator 1 says so too, more where the echo denies the loss.
     """
-    constants, test, own = table.decision, state.sequential_test, state.hypotheses
-    needed: float = constants.suspect if test.of_takeover == 1 else constants.confirm
-    if own.echoes.left_1 > 0:
-        half = real(0.5, needed)
-        if own.signatures.torque_echo.candidate.evidence > half * test.evidence:
-            needed = constants.suspect
-        else:
-            needed = constants.denied
+    constants, test = table.decision, state.sequential_test
+    needed: float = constants.confirm
+    if test.of_takeover == 1 or says_lost(state.echoes):
+        needed = constants.suspect
+    elif denies(table.echoes, state.echoes, test.age):
+        needed = constants.denied
     return needed
 
 

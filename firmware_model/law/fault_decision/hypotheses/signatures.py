@@ -89,7 +89,7 @@ def weigh_signatures(table: Table, state: layout.State, innovation: float) -> No
         own.commanded = own.missing = own.before = 0.0
     if not state.sequential_test.age > real(0.0, one):  # the candidate for channel 1 begins again
         own.before = force.candidate.evidence
-    echoes = state.hypotheses.echoes
+    echoes = state.echoes
     if echoes.left_1 > 0:
         weigh_echo(table, state, own.torque_echo, g1, echoes.error_1, innovation)
     elif own.torque_echo.candidate.age > 0.0:
@@ -129,7 +129,7 @@ def weigh_echo(
 ) -> None:
     """Weigh the error of an echo as the missing output of its actuator; see ``echoes``."""
     shown = output(channel, own.answer, error)
-    take_in(table, state, own.candidate, table.hypotheses.echoes.share, shown, innovation)
+    take_in(table, state, own.candidate, table.echoes.share, shown, innovation)
     if has_failed(table.hypotheses.signatures.candidate, own.candidate):
         begin(own)
 
@@ -170,7 +170,7 @@ def advance_signatures(table: Table, state: layout.State) -> None:
     one = real(1.0, own.ramp)
     advance(estimator.channel_1, own.torque_offset.answer, -one)
     advance(estimator.channel_2, own.force_lost.answer, state.other_cars.command_2)
-    echoes = state.hypotheses.echoes
+    echoes = state.echoes
     if echoes.left_1 > 0:
         advance(estimator.channel_1, own.torque_echo.answer, echoes.error_1)
     if echoes.left_2 > 0:

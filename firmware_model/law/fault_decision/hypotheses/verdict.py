@@ -25,13 +25,6 @@ from firmware_model.law.fault_decision.hypotheses import (
     signatures,
 )
 from firmware_model.law.fault_decision.hypotheses.candidate import likeliest
-from firmware_model.law.fault_decision.hypotheses.echoes import (
-    Constants as EchoesConstants,
-)
-from firmware_model.law.fault_decision.hypotheses.echoes import (
-    State as EchoesState,
-)
-from firmware_model.law.fault_decision.hypotheses.echoes import settle_echoes
 from firmware_model.law.fault_decision.hypotheses.frozen import (
     Constants as FrozenConstants,
 )
@@ -80,7 +73,6 @@ class Constants(Struct):
     signatures: Annotated[
         SignaturesConstants, "1", "of torque offset, lost force and sensor errors"
     ]
-    echoes: Annotated[EchoesConstants, "1", "of the actuators' echoes"]
     frozen: Annotated[FrozenConstants, "1", "of a frozen sensor"]
     torque_lost: Annotated[candidate.Limits, "1", "limits of the lost or returned share"]
     ahead: Annotated[float, "1", "least ratio of a verdict's evidence to faults at other places"]
@@ -95,7 +87,6 @@ class State(Struct):
     """State."""
 
     signatures: Annotated[SignaturesState, "1", "of torque offset, lost force and sensor errors"]
-    echoes: Annotated[EchoesState, "1", "what the actuators report"]
     frozen: Annotated[FrozenState, "1", "of a frozen sensor"]
     evidence: Annotated[
         FloatArray, "1", "of each hypothesis, by the number of its verdict", (HYPOTHESES,)
@@ -178,6 +169,8 @@ def judge(table: Table, state: layout.State) -> None:
         ahead = force - max(torque, sensor) > table.hypotheses.both_lost
         if ahead and answers_no_more(own.signatures):
             own.verdict = BOTH_LOST
+    elif is_reported(own.signatures, confirm, most):
+        find(table, state, FORCE_LOST)
     elif most > confirm and is_clear(table, state, most, second):
         find(table, state, likeliest_fault(evidence, most))
     elif own.verdict == NOTHING and most > confirm:
@@ -205,6 +198,17 @@ def is_clear(table: Table, state: layout.State, most: float, second: float) -> b
         most = most - own.signatures.before
     clear: bool = most > ahead * second
     return clear
+
+
+@firmware
+def is_reported(own: signatures.State, confirm: float, most: float) -> bool:
+    """Whether the echo of actuator 2 explains d̂ at least half as well as any other fault.
+
+    The echo would have to be wrong at the same time as another fault, and in the same way.
+    """
+    evidence, half = own.force_echo.candidate.evidence, real(0.5, most)
+    reported: bool = evidence > confirm and evidence > half * most
+    return reported
 
 
 @firmware
@@ -290,15 +294,16 @@ def size_of(own: signatures.State, fault: int) -> float:
         size = own.torque_offset.candidate.size_now
     elif fault == FORCE_LOST:
         size = own.force_lost.candidate.size_now
+        if own.force_echo.candidate.evidence > own.force_lost.candidate.evidence:
+            size = own.force_echo.candidate.size_now
     return size
 
 
 @firmware
-def clear_hypotheses(table: Table, state: layout.State) -> None:
+def clear_hypotheses(state: layout.State) -> None:
     """Nothing is known."""
     own = state.hypotheses
     begin_all(own.signatures)
-    settle_echoes(table, state)
     thaw(own.frozen)
     own.frozen.measurement = own.frozen.expected = own.found_size = 0.0
     own.evidence[:] = 0.0

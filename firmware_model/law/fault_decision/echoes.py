@@ -5,10 +5,9 @@ from the commands, so the error
 
     e = modelled output - echo
 
-is the missing output of the actuator, whatever the fault: lost, late, stuck, oscillating, or steered
-by a foreign command. e adds G e to d̂, a signature without any unknown but its size. An echo is no
-proof: the evidence comes from d̂, so neither a wrong echo of a working actuator nor an echo that
-repeats the command decides alone.
+is the missing output of the actuator, whatever the fault: lost, late, stuck, oscillating, or
+obedient to foreign commands. e adds G e to d̂, a signature with only its share unknown. An echo
+alone proves nothing, because an echo may be wrong or repeat the command: the evidence comes from d̂.
 
 Between two echoes e stays. An echo that stays away for long gives no information.
 """
@@ -41,6 +40,7 @@ class Constants(Struct):
     stage_2: Annotated[whitener.Constants, "1", "actuator 2 likewise"]
     own_dead_1: Annotated[int, "tick", "dead time of actuator 1"]
     own_dead_2: Annotated[int, "tick", "dead time of actuator 2"]
+    response_1: Annotated[float, "tick", "from a loss of channel 1 until its echo must show it"]
     longest: Annotated[int, "tick", "largest age of an echo that counts"]
 
 
@@ -54,14 +54,15 @@ class State(Struct):
     index: Annotated[int, "1", "index of the newest output in the rings"]
     error_1: Annotated[float, "u1", "e of channel 1"]
     error_2: Annotated[float, "u2", "e of channel 2"]
+    missing_1: Annotated[float, "u1²", "fading Σ e · output of channel 1 over its echoes"]
+    power_1: Annotated[float, "u1²", "fading Σ output² of channel 1 over its echoes"]
+    sampled_1: Annotated[float, "tick", "since the sample of the last echo of actuator 1"]
     left_1: Annotated[int, "tick", "for so long the last echo of actuator 1 counts; 0: no echo"]
     left_2: Annotated[int, "tick", "likewise of actuator 2"]
 
 
 @firmware
-def hear(
-    table: Table, state: layout.State, channel: float, echo: float, age_ticks: float
-) -> None:
+def hear(table: Table, state: layout.State, channel: float, echo: float, age_ticks: float) -> None:
     """Take in an echo, before the ``step`` of its tick.
 
     Args:
@@ -71,17 +72,21 @@ def hear(
         echo: the output of the actuator, in the unit of its command.
         age_ticks: ticks since the sample of the echo; below ``KEPT_TICKS``, or the echo is ignored.
     """
-    own, value = state.hypotheses.echoes, real(echo, state.command_1)
+    own, value = state.echoes, real(echo, state.command_1)
     age = real(age_ticks, value)
-    if not (math.isfinite(value) and age >= 0.0 and age < KEPT_TICKS):
+    if not (math.isfinite(value) and age >= 0.0 and age < real(KEPT_TICKS, value)):
         return
     index = (own.index + KEPT_TICKS - int(age)) % KEPT_TICKS
     if channel == 1.0:
-        own.error_1 = own.outputs_1[index] - value
-        own.left_1 = table.hypotheses.echoes.longest
+        output, half = own.outputs_1[index], real(0.5, value)
+        own.error_1 = output - value
+        own.missing_1 = half * own.missing_1 + output * own.error_1
+        own.power_1 = half * own.power_1 + output * output
+        own.sampled_1 = age
+        own.left_1 = table.echoes.longest
     elif channel == 2.0:
         own.error_2 = own.outputs_2[index] - value
-        own.left_2 = table.hypotheses.echoes.longest
+        own.left_2 = table.echoes.longest
 
 
 @firmware
@@ -95,7 +100,7 @@ def hear_first(
 @firmware
 def advance_echoes(table: Table, state: layout.State) -> None:
     """A tick on: the outputs of the next tick; ``estimator`` is still that of this tick."""
-    constants, own, estimator = table.hypotheses.echoes, state.hypotheses.echoes, table.estimator
+    constants, own, estimator = table.echoes, state.echoes, table.estimator
     if constants.longest == 0:
         return
     memory = state.estimator
@@ -116,6 +121,7 @@ def advance_echoes(table: Table, state: layout.State) -> None:
     own.outputs_2[own.index] = next_output(constants.stage_2, own.stage_2)
     own.left_1, own.error_1 = aged(own.left_1, own.error_1)
     own.left_2, own.error_2 = aged(own.left_2, own.error_2)
+    own.sampled_1 += real(1.0, u1)
 
 
 @firmware
@@ -128,18 +134,34 @@ def next_output(stage: whitener.Constants, state: whitener.State) -> float:
 @firmware
 def aged(left: int, error: float) -> tuple[int, float]:
     """``left`` and e a tick later."""
-    if left > 1:
-        return left - 1, error
-    return 0, real(0.0, error)
+    remaining = max(left - 1, 0)
+    still = error if remaining > 0 else real(0.0, error)
+    return remaining, still
+
+
+@firmware
+def says_lost(own: State) -> bool:
+    """Whether the last echoes miss a quarter of the output of actuator 1."""
+    quarter = real(0.25, own.power_1)
+    lost: bool = own.left_1 > 0 and own.missing_1 > quarter * own.power_1
+    return lost
+
+
+@firmware
+def denies(constants: Constants, own: State, age: float) -> bool:
+    """Whether the last echoes deny a loss of channel 1 that is ``age`` ticks old."""
+    enough: bool = own.left_1 > 0 and age - own.sampled_1 > constants.response_1
+    return enough and not says_lost(own)
 
 
 @firmware
 def settle_echoes(table: Table, state: layout.State) -> None:
     """The actuators have followed the present commands for long; no echo has come."""
-    constants, own = table.hypotheses.echoes, state.hypotheses.echoes
+    constants, own = table.echoes, state.echoes
     settle_whitener(constants.stage_1, own.stage_1, state.command_1)
     settle_whitener(constants.stage_2, own.stage_2, state.command_2)
     own.outputs_1[:] = state.command_1
     own.outputs_2[:] = state.command_2
     own.left_1 = own.left_2 = 0
+    own.missing_1 = own.power_1 = own.sampled_1 = 0.0
     own.error_1 = own.error_2 = 0.0
