@@ -179,7 +179,7 @@ class Firmware:
     def echo_errors(self) -> tuple[float, float]:
         """Modelled less reported output of both actuators; 0 without an echo; see ``echoes``."""
         heard = self._states[0].echoes
-        return float(heard.error_1), float(heard.error_2)
+        return float(heard.channel_1.error), float(heard.channel_2.error)
 
     @property
     def commands(self) -> tuple[float, float]:

@@ -55,6 +55,7 @@ def fill_hypotheses(table: Table, target: Target) -> None:
         (signatures.sensor_biased, -math.inf, math.inf),
         (signatures.sensor_drifting, -math.inf, math.inf),
         (table.echoes.share, LEAST_SHARE, MOST_SHARE),
+        (table.echoes.wrong, -MOST_SHARE, -LEAST_SHARE),
         (constants.frozen.size_of_one, 1.0, 1.0),
     ):
         limits.least, limits.most = least, most
@@ -66,19 +67,21 @@ def fill_hypotheses(table: Table, target: Target) -> None:
 def fill_echoes(echoes: EchoesConstants, actuators: tuple[Stage, Stage], tick_s: float) -> None:
     """Both actuators between commands that arrive at ticks, with their commands held between."""
     echoes.longest = max(math.ceil(ECHO_S / tick_s), LEAST_ECHO_TICKS)
-    for filtered, actuator in ((echoes.stage_1, actuators[0]), (echoes.stage_2, actuators[1])):
+    echoes.working = math.ceil(WORKING_S / tick_s)
+    for own, actuator in ((echoes.actuator_1, actuators[0]), (echoes.actuator_2, actuators[1])):
         lag = actuator.transfer_function
         if lag.poles:
-            _fill_filter(filtered, zoh(lag, tick_s))
+            stage = zoh(lag, tick_s)
+            _fill_filter(own.stage, stage)
+            own.lead = 1.0 / stage.coefficients[0][1] if len(lag.poles) == 1 else 1.0
         else:  # the command that arrived a tick ago
-            filtered.n, filtered.coefficients[0] = 1, (0.0, 1.0, 0.0, 1.0, 0.0)
+            own.lead = 1.0
+            own.stage.n, own.stage.coefficients[0] = 1, (0.0, 1.0, 0.0, 1.0, 0.0)
+        own.dead_ticks = round(actuator.dead_time_s / tick_s)
     slowest_s = max(
         (-1.0 / pole.real for pole in actuators[0].transfer_function.poles), default=0.0
     )
     echoes.response_1 = math.ceil(RESPONSE * slowest_s / tick_s) + 1.0
-    echoes.own_dead_1, echoes.own_dead_2 = (
-        round(actuator.dead_time_s / tick_s) for actuator in actuators
-    )
 
 
 def fill_frozen(frozen: FrozenConstants, target: Target) -> None:
@@ -175,6 +178,7 @@ REMAINDER_S = 0.12  # time constant of the remainder beyond the first order
 WHITE = 0.1  # white part of the remainder
 RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's change of G1 u1
 POWERLESS_S = 0.3  # a car follows large commands sooner
+WORKING_S = 0.5  # of good echoes, one a tick, that end a fault; a rarer echo needs longer
 RESPONSE = 2.0  # time constants of an actuator until its echo misses most of a lost command
 ECHO_S, LEAST_ECHO_TICKS = 0.1, 5  # an echo that stays away for longer gives no information
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer
-from firmware_model.law.fault_decision.echoes import denies, says_lost
+from firmware_model.law.fault_decision.echoes import denies, known_output, says_lost
 from firmware_model.law.fault_decision.hypotheses.sensor_error import sensor_error_shown
 from firmware_model.law.fault_decision.hypotheses.signatures import begin_all
 from firmware_model.law.fault_decision.hypotheses.verdict import (
@@ -39,9 +39,9 @@ from firmware_model.law.fault_decision.likelihood_ratio import (
     update_test,
 )
 from firmware_model.law.fault_decision.loss_model import (
+    earlier_missing,
     earlier_shown,
     fading_output,
-    fading_shown,
     follow_share,
     known_share,
     loss_output,
@@ -98,7 +98,7 @@ def decide(
     before, w = state.fault_state, loss_shown(table, state)
     known = sensor_error_shown(table, state)
     predict_mismatch(table, state, model_1 + model_2, w, earlier_shown(table, state))
-    fading = fading_shown(table, state)
+    fading = earlier_missing(table, state)
     lost = state.loss_model.share
     new = innovation(table.mismatch, state.mismatch, residual, known, fading, lost)
     follow_share(table.loss_model, state)
@@ -144,9 +144,10 @@ def needed_evidence(table: Table, state: layout.State) -> float:
     """
     constants, test = table.decision, state.sequential_test
     needed: float = constants.confirm
-    if test.of_takeover == 1 or says_lost(state.echoes):
+    echo = state.echoes.channel_1
+    if test.of_takeover == 1 or says_lost(echo):
         needed = constants.suspect
-    elif denies(table.echoes, state.echoes, test.age):
+    elif denies(table.echoes, echo, test.age):
         needed = constants.denied
     return needed
 
@@ -202,6 +203,7 @@ def transfer_to_losses(table: Table, state: layout.State) -> None:
     """Begin a bumpless transfer of F̂ to the known loss."""
     loss = state.loss_model
     lost = loss.previous_fading + loss.followed * loss.previous_output
+    lost += state.echoes.channel_1.previous
     speed = compensated_output(table, state) - lost
     begin_transfer(table.bumpless_transfer, state.bumpless_transfer, lost, speed)
 
@@ -211,4 +213,6 @@ def compensated_output(table: Table, state: layout.State) -> float:
     """The input of F̂: the known missing output."""
     loss = state.loss_model
     lost: float = fading_output(table, state) + loss.followed * loss_output(table, state)
+    g1, echo = table.estimator.channel_1, state.echoes.channel_1
+    lost += known_output(table.echoes.actuator_1, g1, echo)
     return lost

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision.echoes import Echo, believe, missing_command
 from firmware_model.law.fault_decision.hypotheses.candidate import (
     Constants as CandidateConstants,
 )
@@ -27,7 +28,7 @@ from firmware_model.law.fault_decision.hypotheses.candidate import has_failed, s
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.precision import real
-from firmware_model.law.structs import Struct
+from firmware_model.law.structs import MAX_SECTIONS, Struct
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
@@ -90,12 +91,29 @@ def weigh_signatures(table: Table, state: layout.State, innovation: float) -> No
     if not state.sequential_test.age > real(0.0, one):  # the candidate for channel 1 begins again
         own.before = force.candidate.evidence
     echoes = state.echoes
-    if echoes.left_1 > 0:
-        weigh_echo(table, state, own.torque_echo, g1, echoes.error_1, innovation)
+    actuator_1, actuator_2 = table.echoes.actuator_1, table.echoes.actuator_2
+    if echoes.channel_1.left > 0:
+        missing = missing_command(actuator_1, echoes.channel_1)
+        weigh_echo(
+            table,
+            state,
+            own.torque_echo,
+            output(g1, own.torque_echo.answer, missing),
+            echoes.channel_1.believed,
+            innovation,
+        )
     elif own.torque_echo.candidate.age > 0.0:
         begin(own.torque_echo)
-    if echoes.left_2 > 0:
-        weigh_echo(table, state, own.force_echo, g2, echoes.error_2, innovation)
+    if echoes.channel_2.left > 0:
+        missing = missing_command(actuator_2, echoes.channel_2)
+        weigh_echo(
+            table,
+            state,
+            own.force_echo,
+            output(g2, own.force_echo.answer, missing),
+            echoes.channel_2.believed,
+            innovation,
+        )
     elif own.force_echo.candidate.age > 0.0:
         begin(own.force_echo)
     half = real(0.5, innovation)
@@ -120,16 +138,13 @@ def weigh_signatures(table: Table, state: layout.State, innovation: float) -> No
 
 @firmware
 def weigh_echo(
-    table: Table,
-    state: layout.State,
-    own: One,
-    channel: biquad.Constants,
-    error: float,
-    innovation: float,
+    table: Table, state: layout.State, own: One, shown: float, believed: int, innovation: float
 ) -> None:
-    """Weigh the error of an echo as the missing output of its actuator; see ``echoes``."""
-    shown = output(channel, own.answer, error)
-    take_in(table, state, own.candidate, table.echoes.share, shown, innovation)
+    """Weigh the missing output that an echo reports as ``shown`` in d̂; see ``echoes``."""
+    if believed == 1:
+        take_in(table, state, own.candidate, table.echoes.wrong, shown, innovation)
+    else:
+        take_in(table, state, own.candidate, table.echoes.share, shown, innovation)
     if has_failed(table.hypotheses.signatures.candidate, own.candidate):
         begin(own)
 
@@ -139,6 +154,17 @@ def begin(hypothesis: One) -> None:
     """Its onset is now."""
     start(hypothesis.candidate)
     hypothesis.answer.accumulators[:] = 0.0
+
+
+@firmware
+def accept_echo(table: Table, state: layout.State, own: One, echo: Echo) -> None:
+    """Believe the echo since its onset; a believed echo, no longer."""
+    sign = real(-1.0 if echo.believed == 1 else 1.0, echo.error)
+    known, answer = echo.known.accumulators, own.answer.accumulators
+    for i in range(MAX_SECTIONS):
+        for j in range(2):
+            known[i, j] += sign * answer[i, j]
+    believe(table, state, echo, own.candidate)
 
 
 @firmware
@@ -171,10 +197,12 @@ def advance_signatures(table: Table, state: layout.State) -> None:
     advance(estimator.channel_1, own.torque_offset.answer, -one)
     advance(estimator.channel_2, own.force_lost.answer, state.other_cars.command_2)
     echoes = state.echoes
-    if echoes.left_1 > 0:
-        advance(estimator.channel_1, own.torque_echo.answer, echoes.error_1)
-    if echoes.left_2 > 0:
-        advance(estimator.channel_2, own.force_echo.answer, echoes.error_2)
+    if echoes.channel_1.left > 0:
+        missing = missing_command(table.echoes.actuator_1, echoes.channel_1)
+        advance(estimator.channel_1, own.torque_echo.answer, missing)
+    if echoes.channel_2.left > 0:
+        missing = missing_command(table.echoes.actuator_2, echoes.channel_2)
+        advance(estimator.channel_2, own.force_echo.answer, missing)
     advance(estimator.measurement, own.sensor_biased.answer, -one)
     advance(estimator.measurement, own.sensor_drifting.answer, own.ramp)
     own.ramp -= one

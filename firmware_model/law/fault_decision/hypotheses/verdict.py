@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, variance_of
+from firmware_model.law.fault_decision.echoes import Echo, says_lost, works
 from firmware_model.law.fault_decision.hypotheses import (
     candidate,
     signatures,
@@ -44,6 +45,7 @@ from firmware_model.law.fault_decision.hypotheses.signatures import (
     State as SignaturesState,
 )
 from firmware_model.law.fault_decision.hypotheses.signatures import (
+    accept_echo,
     answers_no_more,
     begin_all,
     weigh_signatures,
@@ -169,8 +171,13 @@ def judge(table: Table, state: layout.State) -> None:
         ahead = force - max(torque, sensor) > table.hypotheses.both_lost
         if ahead and answers_no_more(own.signatures):
             own.verdict = BOTH_LOST
-    elif is_reported(own.signatures, confirm, most):
-        find(table, state, FORCE_LOST)
+    elif is_reported(own.signatures.force_echo, confirm, most):
+        row, echo = own.signatures.force_echo, state.echoes.channel_2
+        find_by_echo(table, state, row, echo, FORCE_LOST)
+    elif is_reported(own.signatures.torque_echo, confirm, most):
+        find_by_echo(
+            table, state, own.signatures.torque_echo, state.echoes.channel_1, TORQUE_OFFSET
+        )
     elif most > confirm and is_clear(table, state, most, second):
         find(table, state, likeliest_fault(evidence, most))
     elif own.verdict == NOTHING and most > confirm:
@@ -178,6 +185,21 @@ def judge(table: Table, state: layout.State) -> None:
     elif own.verdict == NOTHING:
         enough = table.decision.suspect if was == ANOTHER_CAR else confirm
         own.verdict = ANOTHER_CAR if evidence[ANOTHER_CAR] > enough else NOTHING
+    own.verdict = with_echoes(state, own.verdict)
+
+
+@firmware
+def with_echoes(state: layout.State, verdict: int) -> int:
+    """The verdict of a tick, where a believed echo names the place."""
+    torque, force = state.echoes.channel_1, state.echoes.channel_2
+    if state.fault_state == CONFIRMED:
+        gone = force.believed == 1 and says_lost(force)
+        verdict = BOTH_LOST if gone else verdict
+    elif torque.believed == 1:
+        verdict = TORQUE_LOST if says_lost(torque) else TORQUE_OFFSET
+    elif force.believed == 1:
+        verdict = FORCE_LOST
+    return verdict
 
 
 @firmware
@@ -201,14 +223,27 @@ def is_clear(table: Table, state: layout.State, most: float, second: float) -> b
 
 
 @firmware
-def is_reported(own: signatures.State, confirm: float, most: float) -> bool:
-    """Whether the echo of actuator 2 explains d̂ at least half as well as any other fault.
+def is_reported(own: signatures.One, confirm: float, most: float) -> bool:
+    """Whether the echo of an actuator explains d̂ at least half as well as any other fault.
 
     The echo would have to be wrong at the same time as another fault, and in the same way.
     """
-    evidence, half = own.force_echo.candidate.evidence, real(0.5, most)
+    evidence, half = own.candidate.evidence, real(0.5, most)
     reported: bool = evidence > confirm and evidence > half * most
     return reported
+
+
+@firmware
+def find_by_echo(
+    table: Table, state: layout.State, own: signatures.One, echo: Echo, fault: int
+) -> None:
+    """Record that ``echo`` tells the truth about a ``fault``, or no longer does."""
+    accept_echo(table, state, own, echo)
+    hypotheses = state.hypotheses
+    begin_all(hypotheses.signatures)
+    hypotheses.found_size = 0.0
+    hypotheses.found = fault
+    hypotheses.verdict = NOTHING
 
 
 @firmware
@@ -224,6 +259,11 @@ def standing(table: Table, state: layout.State) -> int:
         return verdict
     if verdict == SENSOR_FROZEN and own.frozen.repetitions > real(0.0, own.found_size):
         return verdict
+    working = table.echoes.working
+    if verdict == TORQUE_OFFSET and works(state.echoes.channel_1, working):
+        verdict = NOTHING
+    if verdict == FORCE_LOST and works(state.echoes.channel_2, working):
+        verdict = NOTHING
     if verdict == TORQUE_LOST or verdict > SENSOR_DRIFTING:
         verdict = NOTHING
     return verdict
@@ -294,8 +334,6 @@ def size_of(own: signatures.State, fault: int) -> float:
         size = own.torque_offset.candidate.size_now
     elif fault == FORCE_LOST:
         size = own.force_lost.candidate.size_now
-        if own.force_echo.candidate.evidence > own.force_lost.candidate.evidence:
-            size = own.force_echo.candidate.size_now
     return size
 
 
