@@ -26,7 +26,7 @@ from firmware_model.law.filters import biquad, whitener
 from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.filters.whitener import add_signal, settle_whitener, whiten
 from firmware_model.law.precision import real
-from firmware_model.law.structs import FloatArray, RecordArray, Struct
+from firmware_model.law.structs import MAX_SECTIONS, FloatArray, RecordArray, Struct
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
@@ -59,13 +59,13 @@ class Constants(Struct):
 class Echo(Struct):
     """What one actuator reports."""
 
-    stage: Annotated[whitener.State, "u", "state of the actuator"]
-    outputs: Annotated[FloatArray, "u", "ring of the modelled output", (KEPT_TICKS,)]
-    error: Annotated[float, "u", "e"]
-    before: Annotated[float, "u", "e of the tick before"]
-    missing: Annotated[float, "u²", "fading Σ e · output over the echoes"]
-    off: Annotated[float, "u²", "fading Σ e² over the echoes"]
-    power: Annotated[float, "u²", "fading Σ output² over the echoes"]
+    stage: Annotated[whitener.State, "command", "state of the actuator"]
+    outputs: Annotated[FloatArray, "command", "ring of the modelled output", (KEPT_TICKS,)]
+    error: Annotated[float, "command", "e"]
+    before: Annotated[float, "command", "e of the tick before"]
+    missing: Annotated[float, "command²", "fading Σ e · output over the echoes"]
+    off: Annotated[float, "command²", "fading Σ e² over the echoes"]
+    power: Annotated[float, "command²", "fading Σ output² over the echoes"]
     good: Annotated[int, "1", "echoes without a fault, one after another"]
     sampled: Annotated[float, "tick", "since the sample of the last echo"]
     left: Annotated[int, "tick", "for so long the last echo counts; 0: no echo"]
@@ -191,12 +191,24 @@ def known_output(constants: Actuator, channel: biquad.Constants, own: Echo) -> f
 
 
 @firmware
-def believe(table: Table, state: layout.State, own: Echo, row: candidate.State) -> None:
+def believe(
+    table: Table, state: layout.State, own: Echo, row: candidate.State, answer: biquad.State
+) -> None:
     """Believe the echo from the onset of its signature on; a believed echo, no longer.
 
-    The accumulators of the signature are added by the caller.
+    Args:
+        table: the constant table.
+        state: changed in place.
+        own: the echo.
+        row: the fit of its signature to d̂.
+        answer: the state of G that makes the signature.
     """
-    sign = real(-1.0 if own.believed == 1 else 1.0, own.error)
+    sign = real(1.0, own.error)
+    if own.believed == 1:
+        sign = -sign
+    for i in range(MAX_SECTIONS):
+        for j in range(2):
+            own.known.accumulators[i, j] += sign * answer.accumulators[i, j]
     for i in range(table.mismatch.n):
         state.mismatch.theta[i] -= sign * row.explained[i]
     add_signal(table.mismatch.whitener, state.mismatch.white.fading, sign, row.white)

@@ -156,7 +156,7 @@ def test_a_loss_is_confirmed_sooner_with_an_echo_and_later_against_one() -> None
 @pytest.mark.compiled
 def test_a_wandering_sensor_is_no_loss_where_the_echo_denies_the_loss() -> None:
     def wanders(k: int) -> float:
-        return 0.25 * math.sin(0.012 * (k - FAULT)) ** 2
+        return 0.02 * math.sin(0.012 * (k - FAULT)) ** 2
 
     def confirmed(answers: list[Answer]) -> bool:
         return any(answer.fault_state == FaultState.CONFIRMED for answer in answers)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.echoes import Echo, believe, missing_command
+from firmware_model.law.fault_decision.echoes import missing_command
 from firmware_model.law.fault_decision.hypotheses.candidate import (
     Constants as CandidateConstants,
 )
@@ -28,7 +28,7 @@ from firmware_model.law.fault_decision.hypotheses.candidate import has_failed, s
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.precision import real
-from firmware_model.law.structs import MAX_SECTIONS, Struct
+from firmware_model.law.structs import Struct
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
@@ -154,17 +154,6 @@ def begin(hypothesis: One) -> None:
     """Its onset is now."""
     start(hypothesis.candidate)
     hypothesis.answer.accumulators[:] = 0.0
-
-
-@firmware
-def accept_echo(table: Table, state: layout.State, own: One, echo: Echo) -> None:
-    """Believe the echo since its onset; a believed echo, no longer."""
-    sign = real(-1.0 if echo.believed == 1 else 1.0, echo.error)
-    known, answer = echo.known.accumulators, own.answer.accumulators
-    for i in range(MAX_SECTIONS):
-        for j in range(2):
-            known[i, j] += sign * answer[i, j]
-    believe(table, state, echo, own.candidate)
 
 
 @firmware

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, variance_of
-from firmware_model.law.fault_decision.echoes import Echo, says_lost, works
+from firmware_model.law.fault_decision.echoes import Echo, believe, says_lost, works
 from firmware_model.law.fault_decision.hypotheses import (
     candidate,
     signatures,
@@ -45,7 +45,6 @@ from firmware_model.law.fault_decision.hypotheses.signatures import (
     State as SignaturesState,
 )
 from firmware_model.law.fault_decision.hypotheses.signatures import (
-    accept_echo,
     answers_no_more,
     begin_all,
     weigh_signatures,
@@ -238,7 +237,7 @@ def find_by_echo(
     table: Table, state: layout.State, own: signatures.One, echo: Echo, fault: int
 ) -> None:
     """Record that ``echo`` tells the truth about a ``fault``, or no longer does."""
-    accept_echo(table, state, own, echo)
+    believe(table, state, echo, own.candidate, own.answer)
     hypotheses = state.hypotheses
     begin_all(hypotheses.signatures)
     hypotheses.found_size = 0.0
