@@ -6,9 +6,10 @@ import base64
 import html
 import io
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import asdict
-from textwrap import fill
+from textwrap import fill, shorten
 from typing import Any, Final
 
 import numpy as np
@@ -40,9 +41,13 @@ from can_rig.files import atomic
 MOST_METRICS: Final = 4
 MOST_AXES: Final = 6
 MOST_DOTS: Final = 4000
-PANEL_IN, RATE_IN = 1.9, 0.26
+MOST_TEXT: Final = 110
+"""Characters of a requirement in its bar."""
+PANEL_IN, RATE_IN = 1.9, 0.28
 """Heights of a row of panels, and of a requirement."""
-LINE: Final = 24
+FAR: Final = 10.0
+"""The greatest value, in medians, from which on an axis is logarithmic."""
+LINE: Final = 26
 """Characters of a label; longer labels would exceed the panel."""
 
 
@@ -93,7 +98,7 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
                 axis.set_xscale("log")
             share = summary.sensitivities.get(name, {}).get(key)
             if share is not None:
-                axis.set_title(f"explains {share:.0%}", fontsize=8, loc="right")
+                axis.set_title(f"{100.0 * share:.0f} % of the variance", fontsize=7, loc="right")
     return figure
 
 
@@ -123,6 +128,7 @@ def _rates(axis: Axes, summary: Summary) -> None:
         axis.plot([100.0 * low, 100.0 * high], [at, at], color=style.INK, lw=2.0)
         text = f"{100.0 * share:.4g} %  ({100.0 * low:.4g} to {100.0 * high:.4g})"
         axis.text(101.5, at, text, fontsize=8, va="center")
+        axis.text(0.8, at, shorten(_said(rate.text), MOST_TEXT), fontsize=6.5, va="center")
     axis.set_yticks(range(len(rates)), [rate.name.replace("_", " ") for rate in rates], fontsize=8)
     axis.tick_params(axis="y", length=0)
     axis.tick_params(axis="x", labelsize=7)
@@ -133,21 +139,42 @@ def _rates(axis: Axes, summary: Summary) -> None:
     axis.set_xlabel("runs that pass in %, with the 95 % interval", fontsize=8)
 
 
+def _said(expression: str) -> str:
+    """A requirement's expression with the metrics in words."""
+    words = re.sub(r"[a-z]\w*", lambda name: in_words(name[0])[0], expression)
+    return words.replace("<=", "≤").replace(">=", "≥").replace("==", "=")
+
+
 def _histogram(axis: Axes, label: str, values: Any, failed: Any) -> None:
+    """Counts on a logarithmic axis, so that a single run of the tail is seen."""
     known = np.isfinite(values)
-    bins = np.histogram_bin_edges(values[known], bins=min(40, max(5, int(np.sqrt(known.sum())))))
-    axis.hist(
-        [values[known & ~failed], values[known & failed]],
-        bins=bins.tolist(),
-        stacked=True,
-        color=[style.BLUE, style.ORANGE],
-        label=["all requirements hold", "one does not"],
-    )
+    count, far = min(40, max(8, int(np.sqrt(known.sum())))), is_far_reaching(values)
+    ends = np.nanmin(values[known]), np.nanmax(values[known])
+    bins = (np.geomspace if far else np.linspace)(*ends, count + 1).tolist()
+    for mask, colour, who in (
+        (known, style.BLUE, "all requirements hold"),
+        (known & failed, style.ORANGE, "one does not"),
+    ):
+        axis.hist(values[mask], bins=bins, color=colour, label=who)
+    for share, words in ((50.0, "median"), (99.0, "99 %")):
+        at = float(np.percentile(values[known], share))
+        axis.axvline(at, color=style.INK, lw=0.8, ls=style.DOTTED)
+        axis.annotate(words, (at, 1.0), (0, 2), xycoords=("data", "axes fraction"),
+                      textcoords="offset points", fontsize=6, ha="center")  # fmt: skip
     axis.set_xlabel(label, fontsize=7)
-    axis.tick_params(labelsize=7)
+    axis.tick_params(labelsize=7, which="both")
     style.ruled(axis)
-    axis.set_ylim(bottom=0.0)
+    if far:
+        axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_ylim(bottom=0.7)
     axis.set_ylabel("runs", fontsize=7)
+
+
+def is_far_reaching(values: Any) -> bool:
+    """Whether the greatest value lies so far out that a linear axis would hide the others."""
+    known = values[np.isfinite(values)]
+    return bool(known.min() > 0.0 and known.max() > FAR * np.median(known))
 
 
 def _dots(
@@ -165,10 +192,25 @@ def _dots(
     for mask, colour in ((~failed, style.BLUE), (failed, style.ORANGE)):
         x, y = at[some][mask[some]], values[some][mask[some]]
         axis.plot(x, y, ".", color=colour, ms=2.5, alpha=0.5)
-    axis.set_xlabel(key, fontsize=7)
-    axis.set_ylabel(label, fontsize=6)
-    axis.tick_params(labelsize=7)
+    if is_far_reaching(values):
+        axis.set_yscale("log")
+    axis.set_xlabel(label_of_key(key), fontsize=7)
+    axis.set_ylabel(label, fontsize=7)
+    axis.tick_params(labelsize=7, which="both")
     axis.grid(alpha=0.3, lw=0.5)
+
+
+OF_FAULT: Final = {"at": "begin", "for": "duration", "left": "share left"}
+"""Words for keys that are read with the name of their table."""
+
+
+def label_of_key(key: str) -> str:
+    """A key of a scenario in words, with the unit: ``plant: mass in kg``."""
+    *tables, last = key.split(".")
+    words, unit = in_words(last)
+    place = " ".join(tables).replace("_", " ")
+    words = style.in_a_line(OF_FAULT.get(words, words), unit)
+    return fill(f"{place}: {words}" if place else words, LINE)
 
 
 def label_of(metric: str, names: Names) -> str:

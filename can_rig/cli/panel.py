@@ -20,10 +20,12 @@ from can_rig.scenario import shipped
 )
 @click.option("--allow-control", is_flag=True, help="With --bus: send what the page asks for too.")
 @click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, help="Of 127.0.0.1.  [default: a free one]"
+    "--port",
+    type=click.IntRange(0, 65535),
+    help="Of 127.0.0.1; 0: a free port.  [default: 8035, or else a free port]",
 )
 def command(
-    scenario: str, settings: tuple[str, ...], bus: str | None, allow_control: bool, port: int
+    scenario: str, settings: tuple[str, ...], bus: str | None, allow_control: bool, port: int | None
 ) -> None:
     """Watch and control a run of SCENARIO in a browser on this machine.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -10,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from can_rig.drawing.names import printed
+from can_rig.drawing.names import fault_label, names_of, printed
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
@@ -66,6 +67,11 @@ def labelled(name: str, unit: str) -> str:
     return f"{name}\nin {printed(unit)}" if unit else name
 
 
+def in_a_line(name: str, unit: str) -> str:
+    """A name with the unit."""
+    return f"{name} in {printed(unit)}" if unit else name
+
+
 def legend_above(axis: Axes, side: Literal["left", "right"] = "right", raised: float = 0.0) -> None:
     """The legend above the panel, clear of curves.
 
@@ -91,6 +97,30 @@ def shade_all(axis: Axes, scenario: Scenario | None) -> None:
         shade(axis, fault)
     for disturbance in scenario.disturbances:
         shade(axis, disturbance)
+
+
+def mark_faults(axes: Sequence[Axes], scenario: Scenario) -> None:
+    """Shade the times, and name each fault above the first panel; several by their numbers."""
+    low, high = axes[0].get_xlim()
+    several, names = len(scenario.faults) > 1, names_of(scenario.plant)
+    for number, fault in enumerate(scenario.faults, 1):
+        start_s, *_ = [shade(axis, fault) for axis in axes]
+        if start_s is None:
+            continue
+        late = start_s > low + 0.8 * (high - low)
+        axes[0].annotate(
+            str(number) if several else fault_label(fault, names),
+            (start_s, 1.0),
+            (-4 if late else 4, 4),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            ha="right" if late else "left",
+            fontsize=9,
+            annotation_clip=False,
+        )
+    for disturbance in scenario.disturbances:
+        for axis in axes:
+            shade(axis, disturbance)
 
 
 def shade(axis: Axes, fault: FaultSettings | DisturbanceSettings) -> float | None:

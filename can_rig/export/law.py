@@ -12,7 +12,7 @@ from typing import Final
 from can_rig.export.c_files import c_files
 from can_rig.export.source import REAL, Record, Sources, Type
 from can_rig.export.subset import Program
-from firmware_model.law import controller, layout, schedule
+from firmware_model.law import controller, knowledge, layout, schedule
 from firmware_model.law.fault_decision import echoes
 from firmware_model.law.structs import Precision
 
@@ -21,6 +21,9 @@ ENTRIES: Final = ("start_up", "step", "reset")
 
 HEAR: Final = "hear"
 """Entry point called before a step if an actuator has reported its output; see ``echoes``."""
+
+SAVE: Final = "save"
+"""Entry point called by a node that saves its state; see ``knowledge``."""
 
 CHANGE_SPEED: Final = "change_speed"
 """Entry point called before a step if the speed of the car changes; see ``schedule``."""
@@ -113,6 +116,7 @@ def law_program() -> Program:
         program.add(functions[name], [*memory, *(REAL,) * inputs])
     hear = program.sources.module(echoes.__name__).functions[HEAR]
     program.add(hear, [*memory, REAL, REAL, REAL])
+    program.add(program.sources.module(knowledge.__name__).functions[SAVE], memory)
     return program
 
 
@@ -149,6 +153,7 @@ def law_files(precision: Precision, blends: bool = False) -> dict[str, str]:
         return law_files(precision) | {name: found[name] for name in ("schedule.h", "schedule.c")}
     program, entries = law_program(), {f"controller_{name}" for name in ENTRIES}
     entries.add(f"echoes_{HEAR}")
+    entries.add(f"knowledge_{SAVE}")
     memory = _records(program.sources, layout.Table, layout.State)
     found = c_files(program, [each.struct for each in memory], entries, precision)
     return found | number_headers(precision)

@@ -214,6 +214,7 @@ class LiveSignals:
         self.state: operator_frames.State | None = None
         """Of the plant node, where it says one."""
         self._taken: list[tuple[float, operator_frames.Command]] = []
+        self._heard: list[tuple[float, can.Message]] = []
         self._told_s = 0.0  # the time of the last state
         self._counted = np.ones((1, 2), dtype=np.bool_)  # the last ticks: heard, answered
 
@@ -227,6 +228,7 @@ class LiveSignals:
             if message.arbitration_id not in self._operator_ids:
                 bits += self._length(message)
             self._take(message, now_s)
+            self._heard.append((max(self._rows.tick, 0) * self._scenario.tick_s, message))
         first = self._rows.first_tick
         rows = np.array(
             [self._row(tick, *row) for tick, row in enumerate(self._rows.take_complete(), first)]
@@ -238,6 +240,11 @@ class LiveSignals:
         """Commands to the plant node since the last call, each with its first time of effect."""
         taken, self._taken = self._taken, []
         return taken
+
+    def heard_frames(self) -> list[tuple[float, can.Message]]:
+        """The frames since the last call, each with the time of its tick in s."""
+        heard, self._heard = self._heard, []
+        return heard
 
     def _take(self, message: can.Message, now_s: float) -> None:
         node = self._nodes.get(message.arbitration_id)

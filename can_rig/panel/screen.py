@@ -9,19 +9,22 @@ import os
 import re
 import struct
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
+import can
 import numpy as np
 import tomli_w
 from aiohttp import WSCloseCode, web
 
+from can_rig.decoding.trace import Kinds, of_messages
 from can_rig.errors import RigError
 from can_rig.files import atomic
 from can_rig.frames import operator_frames
+from can_rig.frames.databases import load_database, shipped_dbc
 from can_rig.nodes.operating import done, touches
 from can_rig.panel.live import COLUMNS
 from can_rig.panel.session import Session
@@ -29,7 +32,7 @@ from can_rig.panel.setup import setup
 from can_rig.results.run_folder import log_of
 from can_rig.results.signals import read_signals
 from can_rig.results.source import reference_csv, source_of
-from can_rig.scenario.build import network_of
+from can_rig.scenario.build import dbc_of, network_of
 from can_rig.scenario.loading import keys_of, written
 from firmware_model.law.structs import FloatArray
 
@@ -39,6 +42,9 @@ LAMPS_EVERY: Final = 6
 HISTORY: Final = 20_000
 """Rows that a browser gets which comes late: some three minutes."""
 
+
+MOST_FRAMES: Final = 5_000
+"""The last frames, for a browser that begins to show frames."""
 
 MOST_WAITING: Final = 60
 """Messages that wait for one browser, two seconds of them; then the oldest goes."""
@@ -61,6 +67,8 @@ class Viewer:
     def __init__(self, socket: web.WebSocketResponse, may_touch: bool) -> None:
         self.socket = socket
         self.may_touch = may_touch
+        self.kinds: int | None = None
+        """Known kinds of frames; None: the browser shows no frames."""
         self._waiting: deque[bytes | str] = deque(maxlen=MOST_WAITING)
         self._some = asyncio.Event()
 
@@ -96,6 +104,11 @@ def batch(rows: FloatArray) -> bytes:
     return struct.pack("<II", *rows.shape) + rows.T.astype("<f8").tobytes()
 
 
+def frames_batch(messages: Sequence[tuple[float, can.Message]], kinds: Kinds) -> bytes:
+    """Frames in the page's format: their number, 0, then as ``trace.js`` reads them."""
+    return struct.pack("<II", len(messages), 0) + of_messages(messages, kinds)
+
+
 class Screen:
     """The displayed run and its viewers.
 
@@ -121,6 +134,26 @@ class Screen:
         self._end: asyncio.Task[None] | None = None
         self.events: list[dict[str, Any]] = []
         """What the plant node was told, with the time of the run from which it acts."""
+        self._frames: deque[tuple[float, can.Message]] = deque(maxlen=MOST_FRAMES)
+        self._kinds: Kinds | None = None
+
+    def trace(self, viewer: Viewer, on: bool) -> None:
+        """Send a browser the last frames, and from now on the new frames; or no further frames."""
+        viewer.kinds = None
+        if on:
+            viewer.kinds = 0
+            viewer.offer('{"frames": true}')
+            self._offer_frames(viewer, list(self._frames))
+
+    def _offer_frames(self, viewer: Viewer, frames: Sequence[tuple[float, can.Message]]) -> None:
+        if self._kinds is None:
+            dbcs = dbc_of(self.session.scenario), shipped_dbc(operator_frames.DBC)
+            self._kinds = Kinds([(None, load_database(dbc, strict=False)) for dbc in dbcs])
+        packed, described = frames_batch(frames, self._kinds), self._kinds.described
+        if described[viewer.kinds :]:
+            viewer.offer(json.dumps({"kinds": described[viewer.kinds :]}))
+        viewer.kinds = len(described)
+        viewer.offer(packed)
 
     def welcome(self, viewer: Viewer) -> None:
         """Send a browser the history of the run."""
@@ -152,6 +185,10 @@ class Screen:
         self._history.clear()
         self._kept = 0
         self.events = []
+        self._frames.clear()
+        self._kinds = None
+        for viewer in self.viewers:
+            viewer.kinds = None if viewer.kinds is None else 0
         self.offer(self._hello(None))
 
     def _hello(self, may_touch: bool | None) -> str:
@@ -187,6 +224,11 @@ class Screen:
             event = {"time_s": time_s, **command._asdict()}
             self.events.append(event)
             self.offer(json.dumps({"event": event}))
+        heard = live.heard_frames()
+        self._frames.extend(heard)
+        for viewer in self.viewers if heard else ():
+            if viewer.kinds is not None:
+                self._offer_frames(viewer, heard)
         if len(rows):
             self._history.append(rows)
             self._kept += len(rows)

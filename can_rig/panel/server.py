@@ -30,6 +30,8 @@ from can_rig.scenario.settings import Scenario
 TOKEN_BYTES: Final = 24
 NAMES: Final = ("127.0.0.1", "localhost")
 HTTP_PORT: Final = 80
+USUAL_PORT: Final = 8035
+"""A browser keeps layouts for each port."""
 
 
 def _token() -> str:
@@ -82,6 +84,7 @@ BENCH: Final = {
     "uplot.js": "uPlot.iife.min.js",
     "uplot.css": "uPlot.min.css",
     "charts.js": "charts.js",
+    "trace.js": "trace.js",
     "scene.js": "scene.js",
     "bench.css": "bench.css",
 }
@@ -160,9 +163,13 @@ class Server:
     async def _order(self, viewer: Viewer, text: str) -> None:
         """Execute a page's request, or answer with the reason for refusal."""
         try:
+            order = json.loads(text)
+            if order["order"] == "trace":
+                self._screen.trace(viewer, bool(order["on"]))
+                return
             if not viewer.may_touch:
                 raise RigError("this address may look only")
-            await self._screen.obey(json.loads(text))
+            await self._screen.obey(order)
         except RigError as error:
             viewer.offer(json.dumps({"refused": str(error)}))
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
@@ -207,7 +214,7 @@ class Shown:
         scenarios: names to choose from.
         bus: of nodes that run already; None: the panel starts them.
         sends: whether commands may be sent.
-        port: of 127.0.0.1; 0: a free one.
+        port: of 127.0.0.1; 0: a free port; None: ``USUAL_PORT`` or else a free port.
     """
 
     scenario: Scenario
@@ -216,7 +223,7 @@ class Shown:
     scenarios: list[str]
     bus: str | None
     sends: bool
-    port: int = 0
+    port: int | None = None
 
 
 def serve(shown: Shown, say: Callable[..., None]) -> None:
@@ -229,7 +236,12 @@ def serve(shown: Shown, say: Callable[..., None]) -> None:
     Raises:
         BusError: the port or the bus cannot be opened.
     """
-    listening = _listening(shown.port)
+    try:
+        listening = _listening(USUAL_PORT if shown.port is None else shown.port)
+    except BusError:
+        if shown.port is not None:
+            raise
+        listening = _listening(0)
     access = Access(listening.getsockname()[1])
     bus = shown.bus or new_bus()
 

@@ -23,7 +23,11 @@ from can_rig.drawing import style
 from can_rig.drawing.names import ticks_text
 from can_rig.thesis.comparisons import MAKERS, START_S, Comparison, Curve
 
-DASHES: tuple[Any, ...] = ("-", style.DASHED)  # of the first and the second curve
+LOOKS: tuple[dict[str, Any], ...] = (
+    {"color": style.INK, "lw": 1.6, "ls": "-"},
+    {"color": style.ORANGE, "lw": 1.3, "ls": (0, (5, 5))},
+)
+"""Of the first and the second curve, which are seen in turn where they coincide."""
 MAX_MARKERS = 50  # largest number of samples with a marker each
 LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 9, "handlelength": 3.2}
 
@@ -83,7 +87,7 @@ def _draw(path: Path, comparison: Comparison) -> None:
     figure.suptitle(
         f"{_whose(comparison)}: {comparison.caption}\n"
         f"tick {scenario.tick_s * 1e3:g} ms, latency {ticks_text(scenario.latency_ticks)}, "
-        f"estimator {scenario.design.estimator}",
+        f"estimator {scenario.design.estimator}{_apart(comparison)}",
         fontsize=10,
     )
     figure.savefig(path, dpi=300)
@@ -103,17 +107,9 @@ def _signals(
             axis.plot(time_s, curve.continuous[inside], color=style.PALE_BLUE, lw=4.0, label=label)
         label = None
     marker = "o" if len(time_s) <= MAX_MARKERS else None
-    for curve, dashes in zip(curves, DASHES, strict=False):
-        axis.plot(
-            time_s,
-            curve.sampled[inside],
-            color=style.INK,
-            lw=1.2,
-            ls=dashes,
-            marker=marker,
-            ms=3,
-            label=f"{_math(curve.name)}, sampled",
-        )
+    for curve, look, size in zip(curves, LOOKS, (4.5, 2.0), strict=False):
+        label = f"{_math(curve.name)}, sampled"
+        axis.plot(time_s, curve.sampled[inside], marker=marker, ms=size, label=label, **look)
     symbols = dict.fromkeys(_math(curve.name.partition(",")[0]) for curve in curves)
     unit = f" in {comparison.unit}" if comparison.unit else ""
     axis.set_ylabel(f"{', '.join(symbols)}{unit}", fontsize=9)
@@ -122,9 +118,8 @@ def _signals(
 
 def _differences(axis: Axes, comparison: Comparison, place: tuple[float, float]) -> None:
     inside = _inside(comparison, place)
-    for curve, dashes in zip(comparison.curves, DASHES, strict=False):
-        difference = curve.difference[inside]
-        axis.plot(comparison.time_s[inside], difference, color=style.INK, lw=1.0, ls=dashes)
+    for curve, look in zip(comparison.curves, LOOKS, strict=False):
+        axis.plot(comparison.time_s[inside], curve.difference[inside], **look)
     unit = f"\nin {comparison.unit}" if comparison.unit else ""
     axis.set_ylabel(f"sampled − continuous{unit}", fontsize=9)
     axis.set_xlabel("time in s", fontsize=9)
@@ -144,6 +139,16 @@ def _finish(axis: Axes, comparison: Comparison, place: tuple[float, float]) -> N
 
 def _inside(comparison: Comparison, place: tuple[float, float]) -> NDArray[np.bool_]:
     return (comparison.time_s >= place[0]) & (comparison.time_s <= place[1])
+
+
+def _apart(comparison: Comparison) -> str:
+    """How far two sampled curves are apart, as a line."""
+    if len(comparison.curves) != len(LOOKS):
+        return ""
+    first, second = comparison.curves
+    most = float(np.nanmax(np.abs(first.sampled - second.sampled)))
+    names = f"{_math(first.name)} and {_math(second.name)}"
+    return f"\n{names} differ by {most:.1e} {comparison.unit} at most".rstrip()
 
 
 def _whose(comparison: Comparison) -> str:

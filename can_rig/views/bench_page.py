@@ -5,22 +5,25 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from can_rig.decoding.message_decoder import MessageColumns
+from can_rig.decoding.trace import PROTECTION, Collected, Kinds
 from can_rig.drawing import bench
 from can_rig.drawing.bench import Chart, Curve, Recording, recorded
 from can_rig.drawing.html import page
 from can_rig.drawing.names import names_of, printed
+from can_rig.frames import operator_frames
+from can_rig.frames.databases import load_database, shipped_dbc
 from can_rig.frames.network import Network
 from can_rig.logs.columns import APPLIED, EVIDENCE, SPEED, TRUE_OUTPUT
+from can_rig.logs.frames import Log
 from can_rig.results.curves import curves_of
-from can_rig.results.report.page import page_title
 from can_rig.results.report.web_page import recording
 from can_rig.results.signals import Signals
+from can_rig.scenario.build import dbc_of
 from can_rig.scenario.settings import Scenario
 from can_rig.views.pictures import curve as curve_of
 from can_rig.views.signal_table import table_of
@@ -29,17 +32,26 @@ from firmware_model.law.structs import FloatArray
 AT_FIRST: Final = 4
 """Charts of a log at the beginning."""
 
-PROTECTION: Final = ("Checksum", "AliveCounter", "Tick")
-"""Signals that are not shown at the beginning."""
-
 SHOWN: Final = (TRUE_OUTPUT, SPEED, *APPLIED)
 """Reports of the plant that the charts of the report have already."""
+
+DOTTED: Final = (2, 3)
+"""Dashes of a second run's curves."""
+
+CONTROL: Final = shipped_dbc(operator_frames.DBC)
 
 COLOURS: Final = ("blue", "orange", "green", "violet", "gold", "pink", "grey")
 
 
-def page_of_run(scenario: Scenario, network: Network, signals: Signals) -> str:
-    """The page of a run: the charts of its report, and further signals to choose from."""
+def recording_of_run(scenario: Scenario, network: Network, signals: Signals, log: Log) -> Recording:
+    """What the page shows of a run: the charts of its report, and further signals to choose from.
+
+    Args:
+        scenario: the executed scenario.
+        network: its frames.
+        signals: the recorded signals.
+        log: the whole log.
+    """
     names = names_of(scenario.plant)
     of, shown = recording(scenario, network, signals), table_of(signals, "", scenario)
     of.height = 0
@@ -53,20 +65,30 @@ def page_of_run(scenario: Scenario, network: Network, signals: Signals) -> str:
         label, unit = shown.name_and_unit(name)
         if name not in SHOWN:
             of.curves.append((Curve(name, label, unit, COLOURS[len(of.curves) % 7]), values))
-    return _page(page_title(scenario, names, signals).split("\n")[0], of)
+    databases = [(None, load_database(dbc, strict=False)) for dbc in (dbc_of(scenario), CONTROL)]
+    first_s = float(signals.time_s[0]) if len(signals) else 0.0
+    collected = Collected(Kinds(databases), log, first_s)
+    for chunk in log:
+        collected.take(chunk)
+        if collected.is_full:
+            break
+    of.frames = collected.for_page()
+    return of
 
 
 def _of_state(of: Recording, chart: Chart) -> bool:
     return any(each.key == chart.keys[0] and each.words for each, _ in of.curves)
 
 
-def page_of_log(path: Path, messages: Mapping[str, MessageColumns], start_ns: int) -> str:
-    """The page of a log: its signals by message, at times from the log's start.
+def recording_of_log(
+    messages: Mapping[str, MessageColumns], start_ns: int, frames: Collected
+) -> Recording:
+    """What the page shows of a log: its signals by message, at times from the log's start.
 
     Args:
-        path: the log.
         messages: decoded columns by name.
         start_ns: when the recording began.
+        frames: the frames of the trace.
     """
     pairs = [(name, signal) for name, columns in messages.items() for signal in columns.signals]
     drawn = [curve_of(messages[name], signal, start_ns) for name, signal in pairs]
@@ -82,7 +104,38 @@ def page_of_log(path: Path, messages: Mapping[str, MessageColumns], start_ns: in
         curves.append((look, values))
     first = [each for each, _ in curves if each.key.partition(".")[2] not in PROTECTION]
     charts = [Chart(each.label, (each.key,)) for each in first[:AT_FIRST]]
-    return _page(path.name, Recording(time_s, curves, charts, span_gaps=True))
+    return Recording(time_s, curves, charts, span_gaps=True, frames=frames.for_page())
+
+
+def overlaid(a: Recording, b: Recording) -> Recording:
+    """The page of ``a`` with the curves of ``b`` dotted beside, and the events of both.
+
+    A signal that ``a`` lacks, or has with another name or unit, becomes a curve of its own.
+    """
+    time_s = np.union1d(a.time_s, b.time_s)
+
+    def at_common_times(of: Recording, values: FloatArray) -> FloatArray:
+        column = np.full(len(time_s), np.nan)
+        column[np.searchsorted(time_s, of.time_s)] = values
+        return column
+
+    said = {(curve.key, curve.label, curve.unit) for curve, _ in a.curves}
+    both = {curve.key for curve, _ in b.curves if (curve.key, curve.label, curve.unit) in said}
+    curves = []
+    for curve, values in a.curves:
+        beside = f"b:{curve.key}" if curve.key in both else ""
+        curves.append((replace(curve, beside=beside), at_common_times(a, values)))
+    for curve, values in b.curves:
+        look = replace(curve, key=f"b:{curve.key}", label=f"{curve.label} · B", dash=DOTTED)
+        curves.append((look, at_common_times(b, values)))
+    charts = [
+        replace(chart, keys=(*chart.keys, *(f"b:{key}" for key in chart.keys if key in both)))
+        for chart in a.charts
+    ]
+    of_b = [{**mark, "text": f"B: {mark['text']}"} for mark in b.marks]
+    marks = sorted([*a.marks, *of_b], key=lambda mark: float(mark["time_s"]))
+    gaps = a.span_gaps or len(time_s) > max(len(a.time_s), len(b.time_s))
+    return replace(a, time_s=time_s, curves=curves, charts=charts, marks=marks, span_gaps=gaps)
 
 
 def on_one_axis(
@@ -120,7 +173,8 @@ def on_one_axis(
     return times[known], [column[known] for column in columns]
 
 
-def _page(title: str, of: Recording) -> str:
+def page_of(title: str, of: Recording) -> str:
+    """The page, in HTML."""
     canvas, *parts = recorded(of)
     scripts = parts[-1 - len(bench.SCRIPTS) :]
     view = "".join([canvas, *parts[: -1 - len(scripts)]])

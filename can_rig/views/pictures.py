@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +15,6 @@ from matplotlib.figure import Figure
 from can_rig import paged
 from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.drawing import style
-from can_rig.drawing.names import printed
 from can_rig.drawing.thinning import thinned
 from can_rig.errors import LogError
 from can_rig.logs.frames import NS_PER_S
@@ -154,8 +154,9 @@ def plot_page(
         messages: decoded columns by name.
         signals: message and signal of each curve.
         start_ns: when the recording began; if the start is a date, the axis counts from the date.
-        scenario: the times of its faults and disturbances are shaded.
+        scenario: the times of its faults and disturbances are shaded and named.
     """
+    often = Counter(signal for _, signal in signals)
     panels: dict[tuple[str, str], list[Pair]] = {}
     for message, signal in signals:
         layout = messages[message].layout[signal]
@@ -173,17 +174,20 @@ def plot_page(
             axis.step(
                 *thinned(time_s, values),
                 where="post",
-                label=signal,
+                label=style.in_a_line(
+                    signal if often[signal] == 1 else f"{message}.{signal}",
+                    unit or "" if kind == "unit" else "",
+                ),
                 **style.SERIES[at % len(style.SERIES)],
             )
         style.ruled(axis)
         if kind == "words":
             _words(axis, messages[pairs[0][0]], pairs[0][1])
-        _name(axis, [signal for _, signal in pairs], unit if kind == "unit" else "")
-    for axis in axes if not dated else ():
-        style.shade_all(axis, scenario)
+        named = scenario is not None and axis is axes[0]
+        style.legend_above(axis, "left", raised=0.12 if named else 0.0)
+    if scenario is not None and not dated:
+        style.mark_faults(axes, scenario)
     axes[-1].set_xlabel(_time_label(start_ns) if dated else "time in s")
-    figure.align_ylabels(axes)
     return figure
 
 
@@ -211,14 +215,6 @@ def _words(axis: Axes, columns: MessageColumns, signal: str) -> None:
     used = np.unique(codes).tolist()
     axis.set_yticks(used, [f"{choices.get(int(code), '?')} ({code})" for code in used])
     axis.set_ylim(min(used) - 0.4, max(used) + 0.4)
-
-
-def _name(axis: Axes, names: Sequence[str], unit: str) -> None:
-    if len(names) == 1:
-        axis.set_ylabel(style.labelled(names[0], unit))
-        return
-    axis.set_ylabel(f"in {printed(unit)}" if unit else "")
-    style.legend_above(axis)
 
 
 def _time_label(start_ns: int) -> str:

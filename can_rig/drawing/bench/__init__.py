@@ -37,6 +37,7 @@ class Curve:
         stepped: hold each value until the next.
         words: of a state, the word for each code.
         sets_scale: whether the axis reaches as far as this curve.
+        beside: key of the same signal of a second run; empty without.
     """
 
     key: str
@@ -48,6 +49,7 @@ class Curve:
     stepped: bool = False
     words: Mapping[int, str] | None = None
     sets_scale: bool = True
+    beside: str = ""
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,8 @@ class Recording:
         scene: the drawing of the plant; see ``results.motion``.
         height: of a chart, in pixels; 0: the charts share the height of the window.
         span_gaps: whether lines cross gaps: of signals with times of their own.
+        frames: number and bytes of frames as ``decoding.trace`` packs them, their kinds, and a note
+            where the page has not all frames; None: the page has no trace.
     """
 
     time_s: FloatArray
@@ -88,12 +92,13 @@ class Recording:
     scene: dict[str, Any] | None = None
     height: int = 0
     span_gaps: bool = False
+    frames: tuple[int, bytes, list[dict[str, Any]], str] | None = None
 
 
 MOST_POINTS: Final = 100_000
 """Points of a curve; longer runs show the least and the greatest value of equal parts."""
 
-SCRIPTS: Final = ("uPlot.iife.min.js", "charts.js", "scene.js", "recorded.js")
+SCRIPTS: Final = ("uPlot.iife.min.js", "charts.js", "trace.js", "scene.js", "recorded.js")
 
 
 def style() -> str:
@@ -104,7 +109,8 @@ def style() -> str:
 def recorded(of: Recording) -> Iterator[str]:
     """The parts of a page, in HTML, that show a recorded run; ``style`` belongs to the page."""
     yield '<canvas id="scene" hidden></canvas><div class="bar" id="play"></div>'
-    yield '<div class="bar" id="bar"></div><div id="charts"></div>'
+    trace = '<details id="trace"><summary>Frames</summary></details>' if of.frames else ""
+    yield f'<div class="bar" id="bar"></div><div id="charts"></div>{trace}'
     yield '<h2>Events</h2><ol id="marks"></ol>'
     yield f'<script type="application/json" id="run">{_in_a_script(packed(of))}</script>'
     yield from (f"<script>{text(name)}</script>" for name in SCRIPTS)
@@ -117,6 +123,10 @@ def packed(of: Recording) -> dict[str, Any]:
         columns = dict(of.scene["columns"])
         scene = {**of.scene, **_numbers(columns.pop("time"), columns)}
         del scene["columns"]
+    frames = None
+    if of.frames is not None:
+        points, data, kinds, note = of.frames
+        frames = {"points": points, "data": _deflated(data), "kinds": kinds, "note": note}
     begins = [shade["begin"] for shade in of.shades]
     return {
         "curves": [asdict(curve) for curve, _ in of.curves],
@@ -127,6 +137,7 @@ def packed(of: Recording) -> dict[str, Any]:
         "first": max(first_s, min(begins, default=first_s)),
         "height": of.height,
         "span_gaps": of.span_gaps,
+        "frames": frames,
         **_numbers(*reduced(of.time_s, {curve.key: values for curve, values in of.curves})),
     }
 
@@ -161,8 +172,11 @@ def _numbers(time_s: FloatArray, columns: Mapping[str, FloatArray]) -> dict[str,
         time_s.astype("<f8").tobytes(),
         *(values.astype("<f4").tobytes() for values in columns.values()),
     ]
-    data = base64.b64encode(zlib.compress(b"".join(parts), 1)).decode("ascii")
-    return {"points": len(time_s), "keys": list(columns), "data": data}
+    return {"points": len(time_s), "keys": list(columns), "data": _deflated(b"".join(parts))}
+
+
+def _deflated(data: bytes) -> str:
+    return base64.b64encode(zlib.compress(data, 1)).decode("ascii")
 
 
 def _in_a_script(values: Mapping[str, Any]) -> str:

@@ -1,13 +1,19 @@
 // Charts of signals over time, of a live run or a recorded run: one zoom, one cursor, one time axis.
 "use strict";
 
-const LEAST_HEIGHT = 70, TIME_AXIS = 30;
+const LEAST_HEIGHT = 70, TIME_AXIS = 30, PARTS = 6, STORED = "can-rig layouts";
 const element = (name, more, ...children) => {
   const made = Object.assign(document.createElement(name), more);
   made.append(...children);
   return made;
 };
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`);
+// The last of `n` rows until a time; 0 if all rows are later.
+const rowAt = (n, timeOf, time_s) => {
+  let low = 0, high = n - 1;
+  while (low < high) { const middle = (low + high + 1) >> 1; if (timeOf(middle) <= time_s) low = middle; else high = middle - 1; }
+  return low;
+};
 const shown = (v) => (v === null || v === undefined ? "–" : Math.abs(v) >= 1e5 || (v !== 0 && Math.abs(v) < 1e-3) ? v.toExponential(2) : String(Number(v.toPrecision(4))));
 
 class Charts {
@@ -20,7 +26,7 @@ class Charts {
     this.add.onchange = () => { this.addChart(this.add.value); this.add.selectedIndex = 0; };
     const whole = element("button", { textContent: "Whole time", title: "show the whole time (double click, or key 0)" });
     whole.onclick = () => this.zoom(null);
-    bar.append(this.add, whole, this.time);
+    bar.append(this.add, whole, this.layouts(), this.time);
     new ResizeObserver(() => this.resize()).observe(place);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.remake());
   }
@@ -28,17 +34,18 @@ class Charts {
   // Curves and charts of a run, as `Curve` and `Chart` of Python describe them.
   describe(curves, charts) {
     this.curves = Object.fromEntries(curves.map((each) => [each.key, each]));
-    this.charts = charts.map((each) => ({ ...each, keys: [...each.keys] }));
-    this.add.replaceChildren(new Option("add a chart …", ""), ...curves.map((c) => new Option(c.label, c.key)));
+    this.first = { charts };
+    this.charts = this.known(this.first);
+    this.add.replaceChildren(new Option("add a chart …", ""), ...this.own().map((c) => new Option(c.label, c.key)));
     [this.range, this.pin, this.at] = [null, null, null];
-    this.listed = this.list ? this.showList(curves) : [];
+    this.listed = this.list ? this.showList() : [];
     this.remake();
   }
 
   // The list of signals: those of a message together; a click adds a chart.
-  showList(curves) {
+  showList() {
     const groups = new Map(), values = [];
-    for (const { key, label } of curves) {
+    for (const { key, label } of this.own()) {
       const [group, name] = label.includes(".") ? label.split(/\.(.*)/) : ["signals", label];
       const value = element("output"), button = element("button", { className: "key", title: `add a chart of ${label}` }, name, value);
       button.onclick = () => this.addChart(key);
@@ -50,18 +57,61 @@ class Charts {
     return values;
   }
 
+  // The curves, but for the curves of a second run, which come with the first run's.
+  own() { const others = Object.values(this.curves).map((c) => c.beside); return Object.values(this.curves).filter((c) => !others.includes(c.key)); }
+
+  both(key) { return [key, this.curves[key].beside].filter(Boolean); }
+
   addChart(key) {
-    const of = this.curves[key];
-    this.charts.push({ title: of.label, keys: [key], scale: "linear" });
+    this.charts.push({ title: this.curves[key].label, keys: this.both(key), scale: "linear", hidden: new Set() });
     this.remake();
   }
 
-  addTo(chart, key) { if (!chart.keys.includes(key)) chart.keys.push(key); this.remake(); }
+  addTo(chart, key) { chart.keys.push(...this.both(key).filter((each) => !chart.keys.includes(each))); this.remake(); }
+
+  // Layouts: which charts, of which signals, how large; in the browser by name, and as a file.
+  layout() {
+    const own = this.own().map((c) => c.key);
+    return { charts: this.charts.map((chart) => ({ ...chart, keys: chart.keys.filter((key) => own.includes(key)), hidden: [...chart.hidden] })) };
+  }
+
+  // The charts of a layout whose signals this run has.
+  known({ charts }) {
+    const some = charts.map((chart) => ({ ...chart, hidden: new Set(chart.hidden), keys: [...new Set(chart.keys.filter((key) => this.curves[key]).flatMap((key) => this.both(key)))] }));
+    return some.filter(({ keys, title }) => keys.length && typeof title === "string");
+  }
+
+  apply(layout) {
+    const missing = layout.charts.flatMap(({ keys }) => keys).filter((key) => !this.curves[key]);
+    this.charts = this.known(layout);
+    this.remake();
+    return missing.length ? `not in this run: ${missing.join(", ")}` : "";
+  }
+
+  layouts() {
+    const name = element("input", { placeholder: "name", ariaLabel: "name of the layout", size: 12 }), saved = element("span", { className: "saved" }), says = element("span", { role: "status" });
+    const file = element("input", { type: "file", accept: ".json", hidden: true, ariaLabel: "file of a layout" }), button = (textContent, onclick, more) => element("button", { textContent, onclick, ...more });
+    const stored = () => { try { return JSON.parse(localStorage.getItem(STORED)) || {}; } catch { return {}; } };
+    const store = (all) => { try { localStorage.setItem(STORED, JSON.stringify(all)); says.textContent = ""; } catch { says.textContent = "this browser keeps nothing; write a file"; } list(); };
+    const use = (layout) => { try { says.textContent = this.apply(layout); } catch { says.textContent = "not a layout of charts"; } };
+    const list = () => saved.replaceChildren(...Object.entries(stored()).map(([of, layout]) => element("span", {}, button(of, () => use(layout)), button("×", () => { const all = stored(); delete all[of]; store(all); }, { className: "icon", ariaLabel: `forget the layout ${of}` }))));
+    const keep = () => { const of = name.value.trim(); if (of) store({ ...stored(), [of]: this.layout() }); else says.textContent = "a layout needs a name"; };
+    const write = () => {
+      const url = URL.createObjectURL(new Blob([JSON.stringify(this.layout(), null, 1)], { type: "application/json" }));
+      element("a", { href: url, download: `${name.value.trim() || "layout"}.json` }).click();
+      setTimeout(() => URL.revokeObjectURL(url), 1000);
+    };
+    file.onchange = async () => { const text = await file.files[0].text(); file.value = ""; try { use(JSON.parse(text)); } catch { says.textContent = "not a layout of charts"; } };
+    list();
+    return element("details", { className: "layouts" }, element("summary", { textContent: "Layouts" }),
+      element("div", {}, name, button("Save", keep), saved, button("Write a file", write), button("Read a file", () => file.click()), file, button("As at first", () => use(this.first)), says));
+  }
 
   remove(chart) { this.charts = this.charts.filter((each) => each !== chart); this.remake(); }
 
   toggle(chart, key, button) {
-    const shows = button.ariaPressed !== "true";
+    const shows = chart.hidden.has(key);
+    if (shows) chart.hidden.delete(key); else chart.hidden.add(key);
     button.ariaPressed = String(shows);
     this.plots.find((each) => each.chart === chart).plot.setSeries(chart.keys.indexOf(key) + 1, { show: shows });
   }
@@ -104,28 +154,40 @@ class Charts {
 
   said(key, v) { const { words } = this.curves[key]; return words && words[v] !== undefined ? words[v] : shown(v); }
 
-  index(time_s) {
-    const time = this.data.time || [];
-    let low = 0, high = time.length - 1;
-    while (low < high) { const middle = (low + high + 1) >> 1; if (time[middle] <= time_s) low = middle; else high = middle - 1; }
-    return low;
-  }
+  index(time_s) { const time = this.data.time || []; return rowAt(time.length, (i) => time[i], time_s); }
 
   remake() {
     for (const { plot, figure } of this.plots) { plot.destroy(); figure.remove(); }
     if (!this.charts) return;
-    this.plots = this.charts.map((chart, i) => this.make(chart, i === this.charts.length - 1));
+    const last = this.rows().at(-1) || [];
+    this.plots = this.charts.map((chart) => this.make(chart, last.includes(chart)));
     this.resize();
   }
 
+  // Charts side by side, row by row.
+  rows() {
+    const rows = [];
+    let free = 0;
+    for (const chart of this.charts) {
+      const width = chart.width || 1;
+      if (width > free + 1e-6) { rows.push([]); free = 1; }
+      rows.at(-1).push(chart);
+      free -= width;
+    }
+    return rows;
+  }
+
   resize() {
-    const n = this.plots.length, width = this.place.clientWidth;
-    if (!n || !width) return;
-    const captions = this.plots.reduce((sum, { caption }) => sum + caption.offsetHeight, 0);
-    const height = this.height || Math.max(LEAST_HEIGHT, Math.floor((this.place.clientHeight - TIME_AXIS - captions) / n));
-    this.plots.forEach(({ plot, chart }, i) => {
-      plot.setSize({ width, height: (this.height && this.curves[chart.keys[0]].words ? 0.7 : 1) * height + (i === n - 1 ? TIME_AXIS : 0) });
-    });
+    if (!this.plots.length || !this.place.clientWidth) return;
+    for (const { chart, figure } of this.plots) figure.style.width = `${100 * (chart.width || 1)}%`;
+    const of = (chart) => this.plots.find((each) => each.chart === chart), sum = (values) => values.reduce((total, v) => total + v, 0);
+    const rows = this.rows(), captions = sum(rows.map((row) => Math.max(...row.map((chart) => of(chart).caption.offsetHeight))));
+    const given = rows.map((row) => Math.max(...row.map((chart) => chart.height || 0))), free = this.place.clientHeight - TIME_AXIS - captions - sum(given);
+    const height = this.height || Math.max(LEAST_HEIGHT, Math.floor(free / Math.max(given.filter((h) => !h).length, 1)));
+    rows.forEach((row, r) => row.forEach((chart) => {
+      const { plot, figure } = of(chart), low = this.height && this.curves[chart.keys[0]].words ? 0.7 : 1;
+      plot.setSize({ width: figure.clientWidth, height: (chart.height || given[r] || low * height) + (r === rows.length - 1 ? TIME_AXIS : 0) });
+    }));
     this.draw();
   }
 
@@ -153,30 +215,89 @@ class Charts {
     for (const key of chart.keys) {
       const curve = this.curves[key], value = element("output");
       const line = `<svg viewBox="0 0 24 8" aria-hidden="true"><path d="M0 4H24" stroke="var(--${curve.colour})" stroke-width="${1.5 * curve.width}" stroke-dasharray="${curve.dash.join(" ")}"/></svg>`;
-      const button = element("button", { className: "key", innerHTML: line, title: "show or hide", ariaPressed: "true" });
+      const button = element("button", { className: "key", innerHTML: line, title: "show or hide", ariaPressed: String(!chart.hidden.has(key)) });
       button.append(chart.keys.length > 1 || curve.label !== chart.title ? curve.label.replace(`${chart.title} `, "") : "", value);
       button.onclick = () => this.toggle(chart, key, button);
       keys.append(button); values.push(value);
     }
     const more = element("select", { ariaLabel: `add a signal to ${chart.title}`, className: "icon" }, new Option("+", ""));
-    more.append(...Object.values(this.curves).filter((c) => !chart.keys.includes(c.key)).map((c) => new Option(c.label, c.key)));
+    more.append(...this.own().filter((c) => !chart.keys.includes(c.key)).map((c) => new Option(c.label, c.key)));
     more.onchange = () => this.addTo(chart, more.value);
     const close = element("button", { className: "icon", textContent: "×", ariaLabel: `remove the chart ${chart.title}` });
     close.onclick = () => this.remove(chart);
     const { unit } = this.curves[chart.keys[0]];
-    const title = element("b", { textContent: chart.title + (unit ? ` in ${unit}` : "") });
-    return { values, caption: element("figcaption", {}, title, keys, more, close) };
+    const title = element("b", { textContent: chart.title + (unit ? ` in ${unit}` : ""), title: "drag to another place" });
+    return { values, title, caption: element("figcaption", {}, title, keys, more, close) };
+  }
+
+  // A drag of the title moves a chart, a drag of the corner gives its size.
+  arrange(figure, chart, title, corner) {
+    const drag = (handle, onMove, onEnd) => {
+      handle.onpointerdown = (down) => {
+        down.preventDefault(); handle.setPointerCapture(down.pointerId);
+        const move = onMove(down);
+        handle.onpointermove = move;
+        handle.onpointerup = handle.onpointercancel = () => { handle.onpointermove = handle.onpointerup = handle.onpointercancel = null; onEnd(); };
+      };
+    };
+    let target = null;
+    const mark = (over, after) => {
+      if (target) target.over.classList.remove("before", "after");
+      target = over && { over, after };
+      if (over) over.classList.add(after ? "after" : "before");
+    };
+    drag(title, () => ({ clientX, clientY }) => {
+      const under = document.elementFromPoint(clientX, clientY), over = under && under.closest(".chart");
+      if (!over || over === figure || !this.place.contains(over)) { mark(null); return; }
+      const { left, top, width, height } = over.getBoundingClientRect(), beside = width < 0.9 * this.place.clientWidth;
+      mark(over, beside ? clientX > left + width / 2 : clientY > top + height / 2);
+    }, () => {
+      if (!target) return;
+      const to = this.plots.find((each) => each.figure === target.over).chart, { after } = target;
+      mark(null);
+      this.charts = this.charts.filter((each) => each !== chart);
+      this.charts.splice(this.charts.indexOf(to) + after, 0, chart);
+      this.remake();
+    });
+    drag(corner, (down) => {
+      const height = figure.querySelector(".uplot").offsetHeight - this.axisOf(chart), width = figure.offsetWidth;
+      return ({ clientX, clientY }) => this.give(chart, height + clientY - down.clientY, (width + clientX - down.clientX) / this.place.clientWidth);
+    }, () => this.remake());
+  }
+
+  axisOf(chart) { return this.rows().at(-1).includes(chart) ? TIME_AXIS : 0; }
+
+  give(chart, height, width) {
+    chart.height = Math.max(LEAST_HEIGHT, Math.round(height));
+    chart.width = Math.min(Math.max(Math.round(width * PARTS), 1), PARTS) / PARTS;
+    this.resize();
+  }
+
+  // Alt and an arrow key move a chart by a place, shift and an arrow key make it larger or smaller.
+  arrangeByKey(figure, chart, event) {
+    const by = { ArrowUp: [-1, -20, 0], ArrowLeft: [-1, 0, -1], ArrowDown: [1, 20, 0], ArrowRight: [1, 0, 1] }[event.key];
+    if (!by || !(event.altKey || event.shiftKey)) return false;
+    const from = this.charts.indexOf(chart), to = from + by[0];
+    if (event.altKey && this.charts[to]) [this.charts[from], this.charts[to]] = [this.charts[to], chart];
+    if (event.shiftKey) this.give(chart, figure.querySelector(".uplot").offsetHeight - this.axisOf(chart) + by[1], (chart.width || 1) + by[2] / PARTS);
+    this.remake();
+    this.plots[this.charts.indexOf(chart)].figure.focus();
+    return true;
   }
 
   make(chart, isLast) {
-    const { values, caption } = this.caption(chart), ink = colour("soft"), rule = colour("rule");
-    const figure = element("figure", { className: "chart", tabIndex: 0, ariaLabel: `${chart.title} over time; arrow keys move the cursor, Enter sets the mark, plus and minus zoom` }, caption);
+    const { values, title, caption } = this.caption(chart), ink = colour("soft"), rule = colour("rule");
+    const figure = element("figure", { className: "chart", tabIndex: 0, ariaLabel: `${chart.title} over time; arrow keys move the cursor, Enter sets the mark, plus and minus zoom, Alt and arrow keys move the chart, Shift and arrow keys resize it` }, caption);
+    figure.style.width = `${100 * (chart.width || 1)}%`;
+    const corner = element("span", { className: "corner", title: "drag to resize" });
+    figure.append(corner);
     this.place.append(figure);
+    this.arrange(figure, chart, title, corner);
     const grid = { stroke: rule, width: 1 }, font = "12px system-ui, sans-serif";
     const words = this.curves[chart.keys[0]].words;
     const splits = words ? wordAxis(words) : { linear: {}, log: DECADES, asinh: ASINH }[chart.scale];
     const plot = new uPlot({
-      width: Math.max(this.place.clientWidth, 50), height: LEAST_HEIGHT, padding: [6, 12, isLast ? 0 : 6, 0],
+      width: Math.max(figure.clientWidth, 50), height: LEAST_HEIGHT, padding: [6, 12, isLast ? 0 : 6, 0],
       cursor: { sync: { key: "bench" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { this.zoom(null); return null; } } },
       scales: { x: { time: false }, y: words ? { range: wordRange(words) } : { linear: { range: wideEnough }, log: { distr: 3 }, asinh: { distr: 4, asinh: 10 } }[chart.scale] },
       axes: [
@@ -185,7 +306,7 @@ class Charts {
       ],
       series: [{}, ...chart.keys.map((key) => {
         const { colour: name, width, dash, stepped, sets_scale } = this.curves[key];
-        return { stroke: colour(name), width, dash: dash.length ? dash : undefined, points: { show: false }, spanGaps: this.spanGaps, auto: sets_scale, paths: stepped ? uPlot.paths.stepped({ align: 1 }) : undefined };
+        return { stroke: colour(name), width, dash: dash.length ? dash : undefined, points: { show: false }, show: !chart.hidden.has(key), spanGaps: this.spanGaps, auto: sets_scale, paths: stepped ? uPlot.paths.stepped({ align: 1 }) : undefined };
       })],
       hooks: {
         drawClear: [(u) => this.shade(u)],
@@ -202,12 +323,12 @@ class Charts {
         }],
       },
     }, [[], ...chart.keys.map(() => [])], figure);
-    this.wire(figure, plot);
+    this.wire(figure, plot, chart);
     return { chart, plot, figure, caption, values };
   }
 
   // Wheel and + - zoom, shift and drag pan, a click or Enter sets the mark, arrow keys move the cursor.
-  wire(figure, plot) {
+  wire(figure, plot, chart) {
     const { over } = plot;
     const about = (factor, at) => {
       const { min, max } = plot.scales.x;
@@ -235,6 +356,7 @@ class Charts {
     });
     figure.addEventListener("keydown", (event) => {
       if (event.target !== figure) return;
+      if (this.arrangeByKey(figure, chart, event)) { event.preventDefault(); return; }
       const { min, max } = plot.scales.x, at = this.at === null ? max : this.at, step = (max - min) / 100;
       const keys = {
         ArrowLeft: () => { this.at = Math.max(at - step, min); this.showCursor(); }, ArrowRight: () => { this.at = Math.min(at + step, max); this.showCursor(); },

@@ -20,13 +20,12 @@ async function columns({ points, keys, data }) {
 
 const AROUND_S = 0.3, SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10];
 
-function player(charts, scene, moving) {
+function player(charts, scene, moving, trace) {
   const { time } = moving, last = time.length - 1, begin = time[0], end = time[last];
   const play = element("button", { textContent: "Play" }), slider = element("input", { type: "range", min: begin, max: end, step: "any", value: begin, ariaLabel: "time" });
   const speed = element("select", { ariaLabel: "speed" }, ...SPEEDS.map((s) => new Option(`× ${s}`, s, s === 1, s === 1)));
   let before = null;
-  const index = (t) => { let low = 0, high = last; while (low < high) { const m = (low + high + 1) >> 1; if (time[m] <= t) low = m; else high = m - 1; } return low; };
-  const show = (t) => { slider.value = t; slider.ariaValueText = `${t.toFixed(2)} s`; if (scene) scene.show(moving, index(t)); };
+  const show = (t) => { slider.value = t; slider.ariaValueText = `${t.toFixed(2)} s`; if (scene) scene.show(moving, rowAt(time.length, (i) => time[i], t)); if (trace) trace.go(t); };
   const go = (t) => { show(t); charts.at = t; charts.showCursor(); };
   const step = (now) => {
     if (before === null) return;
@@ -59,7 +58,10 @@ async function draw() {
     moving = await columns(run.scene);
   }
   by("scene").hidden = !scene;
-  const go = moving.time.length ? player(charts, scene, moving) : () => {};
+  let go = () => {};
+  const trace = run.frames && new Trace(by("trace"), (t) => { charts.mark(t); go(t); });
+  if (trace) trace.begin(run.frames.kinds, framesOf(await unpacked(run.frames.data), 0, run.frames.points), run.frames.note);
+  if (moving.time.length) go = player(charts, scene, moving, trace);
   by("marks").replaceChildren(...run.marks.slice(0, 200).map(({ time_s, text }) => {
     const button = element("button", { className: "key", textContent: `${time_s.toFixed(3)} s  ${text}` });
     button.onclick = () => { charts.pin = time_s; charts.zoom({ min: time_s - AROUND_S, max: time_s + AROUND_S }); go(time_s); };

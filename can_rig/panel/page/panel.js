@@ -4,6 +4,7 @@
 const WINDOW_S = 20, KEPT_S = 180;
 const $ = (id) => document.getElementById(id);
 const charts = new Charts($("charts"), $("bar"), { windowS: WINDOW_S }), scene = new Scene($("scene"));
+const trace = new Trace($("trace"), (t) => charts.mark(t));
 
 let hello = null, mayTouch = false, lamps = {}, state = { name: "connecting", says: "", orders: [] }, rows = [], stale = false;
 
@@ -53,7 +54,9 @@ function showScene(data) {
 }
 
 function append(buffer) {
-  const [n, m] = new Uint32Array(buffer, 0, 2), values = new Float64Array(buffer, 8);
+  const [n, m] = new Uint32Array(buffer, 0, 2);
+  if (m === 0) { trace.take(framesOf(buffer, 8, n)); return; }
+  const values = new Float64Array(buffer, 8);
   if (m !== hello.columns.length) return;
   if (!rows.length) rows = hello.columns.map(() => []);
   for (let c = 0; c < m; c++) {
@@ -143,6 +146,7 @@ function showMoved() {
 }
 
 function wire() {
+  $("trace").ontoggle = showFrames;
   $("start").onclick = () => order("start");
   $("stop").onclick = () => order("stop");
   $("scenario").onchange = () => order("choose", { scenario: $("scenario").value });
@@ -179,9 +183,13 @@ function begin(said) {
   charts.setData({ time: [] });
 }
 
+const showFrames = () => order("trace", { on: $("trace").open });
+
 function take(said) {
-  if (said.may_touch !== undefined) mayTouch = said.may_touch;
-  if (said.hello) begin(said.hello);
+  if (said.hello) { trace.begin([]); begin(said.hello); }
+  if (said.may_touch !== undefined) { mayTouch = said.may_touch; showFrames(); }
+  if (said.frames) trace.begin([]);
+  if (said.kinds) trace.know(said.kinds);
   if (said.lamps) { lamps = said.lamps; state = said.state; showState(); showLamps(); }
   if (said.event) addEvent(said.event);
   if (said.refused) $("message").textContent = said.refused;

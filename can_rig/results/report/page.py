@@ -17,7 +17,6 @@ from can_rig.drawing.names import (
     Names,
     disturbance_in_words,
     fault_in_words,
-    fault_label,
     names_of,
     ticks_text,
 )
@@ -180,7 +179,7 @@ def _column(axes: list[Axes], scenario: Scenario, network: Network, signals: Sig
     _distance(axes[1], signals.time_s, size, network.feedback.lsb)
     _commands(axes[2:4], scenario, network, signals)
     _estimate(axes[4], signals)
-    _mark_loss(axes, scenario, names)
+    style.mark_faults(axes, scenario)
     return distance
 
 
@@ -277,7 +276,7 @@ def _output(
         first = int(np.argmax(after))
         from_then_on = thinned(time_s[first:], thin[first:])
         style.reach_for(axis, from_then_on[1])
-        axis.plot(*from_then_on, color=style.BLUE, lw=0.9, label=label)
+        axis.plot(*from_then_on, color=style.ORANGE, lw=0.95, label=label)
     style.legend_above(axis, "left", raised=0.1)
 
 
@@ -375,31 +374,6 @@ def _time_axis(axes: list[Axes], scenario: Scenario, signals: Signals) -> None:
         axes[0].text(0.5, 0.5, "no tick on record", transform=axes[0].transAxes, ha="center")
     for axis in axes:
         axis.set_xlim(*span_s)
-
-
-def _mark_loss(axes: list[Axes], scenario: Scenario, names: Names) -> None:
-    """Shade the times, and name each fault once; several by the numbers of the title."""
-    low, high = axes[0].get_xlim()
-    for number, fault in enumerate(scenario.faults, 1):
-        starts_s = [style.shade(axis, fault) for axis in axes]
-        start_s = starts_s[0]
-        if start_s is None:
-            continue
-        several = len(scenario.faults) > 1
-        late = start_s > low + 0.8 * (high - low)
-        axes[0].annotate(
-            str(number) if several else fault_label(fault, names),
-            (start_s, 1.0),
-            (-4 if late else 4, 4),
-            xycoords=("data", "axes fraction"),
-            textcoords="offset points",
-            ha="right" if late else "left",
-            fontsize=9,
-            annotation_clip=False,
-        )
-    for disturbance in scenario.disturbances:
-        for axis in axes:
-            style.shade(axis, disturbance)
 
 
 def draw_timing(axis: Axes, tick_s: float, realtime: dict[str, Any]) -> None:

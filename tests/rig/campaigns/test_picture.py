@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.campaigns.report import label_of
+from can_rig.campaigns.report import is_far_reaching, label_of, label_of_key
 from can_rig.drawing.names import names_of
 
 OF_CAR = {
@@ -40,3 +41,23 @@ def test_a_metric_of_the_car(metric: str, said: str) -> None:
 def test_a_metric_of_a_plant_by_numbers(metric: str, said: str) -> None:
     names = names_of(load("chapter-2", COLUMN).plant)
     assert label_of(metric, names).replace("\n", " ") == said
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("fault.at_s", "fault: begin in s"),
+        ("fault.0.left", "fault 0: share left"),
+        ("plant.front_cornering_stiffness_n_per_rad", "plant: front cornering stiffness in N/rad"),
+        ("latency_ticks", "latency ticks"),
+    ],
+)
+def test_an_axis_is_named_in_words_with_its_unit(key: str, said: str) -> None:
+    assert label_of_key(key).replace("\n", " ") == said
+
+
+def test_a_tail_makes_an_axis_logarithmic_and_zero_keeps_the_axis_linear() -> None:
+    tail = np.array([1.0] * 99 + [11.0])
+    assert is_far_reaching(np.append(tail, np.nan))
+    assert not is_far_reaching(np.append(tail, 0.0))
+    assert not is_far_reaching(np.linspace(1.0, 9.0, 50))

@@ -48,7 +48,11 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     page.goto(touch)
     page.click("#start")
     expect(page.locator("#fault_state")).to_have_text("no fault", timeout=PATIENCE_MS)
+    page.click("#trace summary")
+    expect(page.locator(".frames tbody")).to_contain_text("CONTROLLER_STATUS")
+    page.fill("#trace input", "rig_taken")
     page.click("#quick button >> nth=0")
+    expect(page.locator(".frames tbody tr")).to_contain_text("Kind actuator-dead")
     expect(page.locator("#fault_state")).to_have_text("loss confirmed", timeout=PATIENCE_MS)
     expect(page.locator("#events")).to_contain_text("steering torque dead 0")
     expect(page.locator("#fault_state")).to_have_class(re.compile("warn"))
@@ -68,6 +72,9 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     page.click("#save")
     expect(page.locator("#message")).to_have_text("saved as by-hand.toml")
     folder = Path(page.inner_text("#state").split()[-1].rstrip("."))
+    heard = page.evaluate(
+        "trace.frames.map((f) => [trace.kinds[f.kind].identifier, hex(f.data).join('')])"
+    )
     process.terminate()
     assert process.wait(60) == 0
     assert errors == []
@@ -77,6 +84,14 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
         check=False, capture_output=True,
     )  # fmt: skip
     assert ran.returncode == 0
+    logged = [
+        (f"{message.arbitration_id:03X}", bytes(message.data).hex().upper())
+        for frames in read_log(folder / "bus.log")
+        for message in frames.messages()
+    ]
+    assert len(heard) > 5000
+    recorded = {"100", "101", "110", "111", "120"}  # beside frames for the panel
+    assert {(of, data) for of, data in heard if of in recorded} <= set(logged)
     shown = (folder / "signals.csv").read_bytes().splitlines()
     again = (tmp_path / "again/signals.csv").read_bytes().splitlines()
     assert again[: len(shown)] == shown  # it was stopped; the saved one runs on

@@ -44,7 +44,7 @@ def numbers(run: dict[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
 def test_the_page_needs_nothing_but_itself(ran: tuple[Scenario, Signals, str]) -> None:
     page = ran[2]
     assert not re.findall(r"(?:src|href|import|url)\s*[=(]\s*[\"']?(?!data:)(?:https?:)?//", page)
-    assert page.count("<script") == page.count("</script>") == 5
+    assert page.count("<script") == page.count("</script>") == 6
     assert "uPlot=function" in page
 
 

@@ -77,7 +77,12 @@ def test_one_panel_a_unit_words_on_the_axis_and_a_date(car: Path) -> None:
     ]
     page = plot_page(messages, pairs, START_S * 10**9)
     speeds, state, temperature = page.axes
-    assert speeds.get_ylabel() == "in rpm"
+    names = [[text.get_text() for text in axis.get_legend().get_texts()] for axis in page.axes]
+    assert names == [
+        ["ENGINE.Speed in rpm", "WHEEL.Speed in rpm"],
+        ["State"],
+        ["Temperature in degC"],
+    ]
     assert [line.get_drawstyle() for line in speeds.get_lines()] == ["steps-post"] * 2
     np.testing.assert_allclose(speeds.get_lines()[0].get_ydata(), np.arange(60))
     np.testing.assert_allclose(speeds.get_lines()[0].get_xdata(), np.arange(60) / 100, atol=1e-9)
@@ -86,7 +91,6 @@ def test_one_panel_a_unit_words_on_the_axis_and_a_date(car: Path) -> None:
         "IDLE (1)",
         "RUN (2)",
     ]
-    assert temperature.get_ylabel() == "Temperature\nin degC"
     assert temperature.get_xlabel() == "time in s since 2023-11-14 22:13:20 UTC"
 
 
@@ -105,6 +109,8 @@ def test_a_run_folder_has_its_own_dbc_and_fault(tmp_path: Path) -> None:
         for patch in axis.patches
     ]
     assert np.array(spans) == pytest.approx(np.array([[0.02, 0.049001], [0.01, 0.04]]))
+    (said,) = (text.get_text() for text in axis.texts)
+    assert said == "steering torque lost"
     bare = plot_page(messages, [("DSTAR_FEEDBACK", "DStar")], 0)
     assert not bare.axes[0].patches
 
