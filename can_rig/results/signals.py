@@ -64,10 +64,10 @@ class Signals:
     """Further reports of the plant, by name; empty for a log without reports."""
     sensors: PlantSignals = field(default_factory=dict)
     """What the further sensors say, by column."""
-    echo_ages: PlantSignals = field(default_factory=dict)
-    """Ticks since the sample of each actuator's echo, by column."""
     whose_fault: PlantSignals = field(default_factory=dict)
     """The verdict on the fault, and the evidence; see ``results.isolation``."""
+    echo_ages: PlantSignals = field(default_factory=dict)
+    """Ticks since the sample of each actuator's echo, by column."""
 
     @property
     def error_mps2(self) -> FloatArray:
