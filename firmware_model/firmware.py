@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -12,8 +13,9 @@ from firmware_model.law import controller, schedule
 from firmware_model.law.fault_decision.hypotheses import verdict
 from firmware_model.law.fault_decision.lost_commands import act_first
 from firmware_model.law.filters import biquad
+from firmware_model.law.knowledge import Saved, saved_in
 from firmware_model.law.layout import State, Table, precision_of
-from firmware_model.law.structs import RecordArray, record_type
+from firmware_model.law.structs import RecordArray, fields_of, record_type, values
 from firmware_model.law.takeover import AT_REST, UNKNOWN
 
 
@@ -35,6 +37,9 @@ Memories = tuple[RecordArray, RecordArray, RecordArray, RecordArray]
 """Constants and state of ``schedule``, table and state of ``controller``, each in an array."""
 
 ChangeSpeed = Callable[[float], None]
+
+CRC_BYTES: Final = 4
+"""Size of the CRC of a saved state, before the bytes that the CRC guards."""
 
 
 class Law(Protocol):
@@ -76,6 +81,20 @@ class PythonLaw:
 PYTHON_LAW = PythonLaw()
 
 
+def fingerprint(table: Table, speeds: schedule.Constants | None = None) -> int:
+    """CRC-32 of the constants and of the layout of ``Saved``, as a signed number; never 0."""
+    layout = ", ".join(f"{each.name} {each.kind} {each.shape}" for each in fields_of(Saved))
+    constants = values(Table, table)
+    if speeds is not None:
+        constants += values(schedule.Constants, speeds)
+    return signed(zlib.crc32(constants, zlib.crc32(layout.encode())) or 1)
+
+
+def signed(crc: int) -> int:
+    """The signed number with these 32 bits."""
+    return crc - (crc >> 31 << 32)
+
+
 class Firmware:
     """A controller with a table and a private state; ``step`` and ``reset`` call the law.
 
@@ -96,6 +115,7 @@ class Firmware:
         self._first = self._states.view(np.uint8).copy()
         self._step = law.step_of(self._tables, self._states)
         self._motions = np.zeros(1, record_type(biquad.State, precision_of(table)))
+        self._fingerprint = fingerprint(table, speeds)
         self._change_speed: ChangeSpeed | None = None
         if speeds is not None:
             blending = np.zeros(1, record_type(schedule.State, precision_of(table)))
@@ -118,6 +138,30 @@ class Firmware:
         """
         self._states.view(np.uint8)[...] = self._first
         self._states[0].takeover.pending = AT_REST if at_rest else UNKNOWN
+
+    def saved(self) -> bytes:
+        """What is known of the car and of lost actuators, for ``restore`` after a restart."""
+        saved = saved_in(self._tables[0], self._states[0])
+        saved.fingerprint = self._fingerprint
+        saved.crc = signed(zlib.crc32(saved.tobytes()[CRC_BYTES:]))
+        return saved.tobytes()
+
+    def restore(self, saved: bytes) -> bool:
+        """Right after ``begin``: begin with what ``saved`` of an earlier controller said.
+
+        Returns:
+            Whether ``saved`` is intact and of a controller with the same constants; otherwise
+            nothing changes.
+        """
+        own = self._states[0].saved
+        if len(saved) != own.nbytes:
+            return False
+        found = np.frombuffer(saved, own.dtype)[0]
+        crc = signed(zlib.crc32(saved[CRC_BYTES:]))
+        if found.fingerprint != self._fingerprint or found.crc != crc:
+            return False
+        self._states[0].saved = found
+        return True
 
     def reset(self, reference: float) -> None:
         """Start from the settled healthy loop at ``reference``; see ``controller.reset``."""

@@ -22,6 +22,7 @@ from can_rig.export.boards import (
     EMULATOR,
     ORDER_BYTES,
     RESTART,
+    SURVIVE,
     emulation,
     frame_order,
 )
@@ -71,13 +72,13 @@ class HostEcu:
         self._receivers = int(code.harness_receivers())
         self._memory = ctypes.create_string_buffer(code.harness_size())
         self._sent = ctypes.create_string_buffer(MOST_SENT * SENT_BYTES)
-        self._init = code.ecu_init
-        self._init.restype = ctypes.c_bool
+        self._restart = code.harness_restart
+        self._restart.restype = ctypes.c_bool
         self.restart()
 
-    def restart(self) -> None:
+    def restart(self, state_survives: bool = False) -> None:
         """See ``Ecu``."""
-        if not self._init(self._memory):
+        if not self._restart(self._memory, state_survives):
             raise ExportError(
                 f"{' '.join(host_compiler())}: the self-test of the controller in C failed: "
                 "CC must be a compiler, with options, that computes as Python does"
@@ -130,9 +131,9 @@ class BenchEcu:
         self._link = link
         self._receivers = receivers
 
-    def restart(self) -> bytes:
-        """Restart the node, as after power-up; returns the controller's identity, 8 bytes."""
-        return self._ask(RESTART, IDENTITY_BYTES)
+    def restart(self, state_survives: bool = False) -> bytes:
+        """See ``Ecu``; returns the controller's identity, 8 bytes."""
+        return self._ask(SURVIVE if state_survives else RESTART, IDENTITY_BYTES)
 
     def take(self, frame_id: int, data: bytes) -> Sent:
         """See ``Ecu``."""

@@ -53,6 +53,14 @@ class OurLaw:
         """See ``NodeController``."""
         self.firmware.begin(at_rest)
 
+    def saved(self) -> bytes:
+        """See ``NodeController``."""
+        return self.firmware.saved()
+
+    def restore(self, saved: bytes) -> bool:
+        """See ``NodeController``."""
+        return self.firmware.restore(saved)
+
 
 def in_node(law: Law, without_frames: bool = False) -> InNode:
     """The control law by ``law``, in a node of the rig; see ``InNode``."""

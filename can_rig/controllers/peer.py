@@ -117,6 +117,14 @@ class Peer:
         self._speed = inputs.speed_mps
         self.reset(inputs.measurement)
 
+    def saved(self) -> bytes:
+        """See ``NodeController``: a controller of one's own remembers nothing."""
+        return b""
+
+    def restore(self, saved: bytes) -> bool:
+        """See ``NodeController``."""
+        return not saved
+
     def _call(self, name: str, method: Callable[..., Any], *arguments: object) -> Any:
         try:
             return method(*arguments)

@@ -118,6 +118,12 @@ class NodeController(Protocol):
             at_rest: whether the actuators have let go of earlier commands.
         """
 
+    def saved(self) -> bytes:
+        """What outlives a restart; empty: nothing."""
+
+    def restore(self, saved: bytes) -> bool:
+        """Begin with ``saved`` after power-up; returns whether ``saved`` could be used."""
+
 
 @dataclass(frozen=True)
 class InNode:
@@ -148,8 +154,8 @@ class Ecu(Protocol):
             ExportError: the node has ended.
         """
 
-    def restart(self) -> object:
-        """Begin from nothing, as after power-up."""
+    def restart(self, state_survives: bool = False) -> object:
+        """Begin as after power-up, with the state saved at the last tick or from nothing."""
 
     def counts(self) -> list[int]:
         """Frames by ``CheckStatus`` since the start: for reference, feedback, any speed."""

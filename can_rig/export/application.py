@@ -28,8 +28,8 @@ HEADER: Final = "firmware.h"
 """Public header of every export, for inclusion by an application."""
 
 BY_HAND: Final = (
-    "firmware.c", "self_test.h", "self_test.c", "e2e.h", "e2e.c", "frames.h", "frames.c", "ecu.h",
-    "ecu.c",
+    "firmware.c", "crc.h", "crc.c", "self_test.h", "self_test.c", "e2e.h", "e2e.c", "frames.h",
+    "frames.c", "ecu.h", "ecu.c",
 )  # fmt: skip
 BENCH: Final = ("bench.h", "bench.c", "harness.h", "harness.c")
 BUILD_FILES: Final = ("Makefile", "CMakeLists.txt", "main.c", "bench_main.c", "check.c")

@@ -38,6 +38,7 @@ def time_order(now_us: int) -> bytes:
 
 
 RESTART: Final = order(b"R")
+SURVIVE: Final = order(b"R\x01")
 COUNT: Final = order(b"C")
 
 

@@ -12,11 +12,14 @@ from typing import Final
 from can_rig.export.c_files import c_files
 from can_rig.export.source import REAL, Record, Sources, Type
 from can_rig.export.subset import Program
-from firmware_model.law import controller, layout, schedule
+from firmware_model.law import controller, knowledge, layout, schedule
 from firmware_model.law.structs import Precision
 
 ENTRIES: Final = ("start_up", "step", "reset")
 """Entry points called by a node: each function takes table and state, then real numbers."""
+
+SAVE: Final = "save"
+"""Entry point called by a node that saves its state; see ``knowledge``."""
 
 CHANGE_SPEED: Final = "change_speed"
 """Entry point called before a step if the speed of the car changes; see ``schedule``."""
@@ -107,6 +110,7 @@ def law_program() -> Program:
     for name in ENTRIES:
         inputs = len(functions[name].parameters) - len(memory)
         program.add(functions[name], [*memory, *(REAL,) * inputs])
+    program.add(program.sources.module(knowledge.__name__).functions[SAVE], memory)
     return program
 
 
@@ -142,6 +146,7 @@ def law_files(precision: Precision, blends: bool = False) -> dict[str, str]:
         found = c_files(program, [each.struct for each in memory], entries, precision)
         return law_files(precision) | {name: found[name] for name in ("schedule.h", "schedule.c")}
     program, entries = law_program(), {f"controller_{name}" for name in ENTRIES}
+    entries.add(f"knowledge_{SAVE}")
     memory = _records(program.sources, layout.Table, layout.State)
     found = c_files(program, [each.struct for each in memory], entries, precision)
     return found | number_headers(precision)

@@ -10,13 +10,13 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from can_rig.export.c_files import comment, name, number
 from firmware_model.discretisation.schedules import Scheduled
-from firmware_model.firmware import PYTHON_LAW
+from firmware_model.firmware import PYTHON_LAW, fingerprint
 from firmware_model.law.filters.biquad import advance, at_rest, output
 from firmware_model.law.layout import State, Table, precision_of
 from firmware_model.law.schedule import Constants
@@ -27,8 +27,10 @@ from firmware_model.law.structs import (
     Precision,
     RecordArray,
     Struct,
-    fields_of,
+    as_bytes,
+    leaves,
     record_type,
+    values,
 )
 from firmware_model.law.takeover import UNKNOWN
 
@@ -130,8 +132,8 @@ def known_answers(of: Scheduled, amplitude: float) -> KnownAnswers:
             change_speed(float(row[2]))
         *reals, mode, fault_state, verdict = step(float(row[0]), float(row[1]))
         plant.act(0.0 if k in LOST else reals[0], reals[1])
-        said += _bytes(np.array(reals, precision))
-        said += _bytes(np.array([mode, fault_state, verdict], np.int32))
+        said += as_bytes(np.array(reals, precision))
+        said += as_bytes(np.array([mode, fault_state, verdict], np.int32))
         codes = (Mode(mode), FaultState(fault_state), Verdict(verdict))
         seen |= {f"{type(each).__name__}.{each.name}" for each in codes}
         if k + 1 in STARTS:
@@ -161,40 +163,6 @@ def _speeds(schedule: Constants) -> FloatArray:
 
 
 # --- memory as bytes -----------------------------------------------------------------------------
-
-
-def leaves(
-    struct: type[Struct], dtype: np.dtype[np.void], at: int = 0
-) -> Iterator[tuple[tuple[str, ...], int, np.dtype[Any]]]:
-    """Path, offset and layout of each number, and each array of numbers, of a struct."""
-    assert dtype.fields is not None
-    for field in fields_of(struct):
-        kind, offset, *_ = dtype.fields[field.name]
-        if isinstance(field.kind, type):
-            for path, inner, numbers in leaves(field.kind, kind, at + offset):
-                yield (field.name, *path), inner, numbers
-        else:
-            yield (field.name,), at + offset, kind
-
-
-def values(struct: type[Struct], record: Any) -> bytes:
-    """The numbers of a record, low byte first, without padding."""
-    found = b""
-    for path, *_ in leaves(struct, record.dtype):
-        value = record
-        for each in path:
-            value = value[each]
-        found += _bytes(np.asarray(value))
-    return found
-
-
-def _bytes(numbers: Any) -> bytes:
-    """Integers and real numbers; every not-a-number is infinity plus one bit, as in C."""
-    plain = np.array(numbers).astype(numbers.dtype.newbyteorder("<"))
-    if plain.dtype.kind == "f":
-        bits = plain.reshape(-1).view(f"<u{plain.dtype.itemsize}")
-        bits[np.isnan(plain.reshape(-1))] = np.array(np.inf, plain.dtype).view(bits.dtype) + 1
-    return plain.tobytes()
 
 
 def _spans(tag: str, memory: list[tuple[str, type[Struct]]], precision: Precision) -> Iterator[str]:
@@ -251,5 +219,6 @@ def self_test_data(of: Scheduled, amplitude: float) -> str:
     lines += ["};", "", "const struct self_test_data self_test_data = {"]
     lines += [f"    .{each} = {each}," for each in ("ticks", "parts", *spans)]
     lines += [f"    .crc_of_constants = 0x{zlib.crc32(constants):08X}u,"]
+    lines += [f"    .fingerprint = 0x{fingerprint(of.table, of.schedule) % (1 << 32):08X}u,"]
     lines += [f"    .crc_of_answers = 0x{known.crc:08X}u,", "};"]
     return "\n".join(lines) + "\n"

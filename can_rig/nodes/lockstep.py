@@ -267,8 +267,8 @@ class AnsweringNode(ABC):
         """See ``take``."""
 
     @abstractmethod
-    def _restart(self) -> None:
-        """Begin from nothing, as after power-up."""
+    def _restart(self, state_survives: bool) -> None:
+        """Begin as after power-up, with the saved state or from nothing."""
 
     @property
     def _has_no_power(self) -> bool:
@@ -278,8 +278,7 @@ class AnsweringNode(ABC):
         """Turn to ``tick``, where an outage may end."""
         self._tick = tick
         if self._outages and tick == self._outages[0].stop:
-            self._outages.popleft()
-            self._restart()
+            self._restart(self._outages.popleft().state_survives)
 
     def _overhear(self, message: can.Message) -> bool:
         """Follow the ticks without power; returns whether ``message`` ended one.
@@ -375,10 +374,12 @@ class ControllerNode(AnsweringNode):
         self._first_speed: can.Message | None = None
         self._first_witnesses: dict[int, can.Message] = {}
 
-    def _restart(self) -> None:
+    def _restart(self, state_survives: bool) -> None:
         """See ``AnsweringNode``."""
         self._end.restart()
+        saved = self._controller.saved() if state_survives else b""
         self._begin()
+        self._controller.restore(saved)
 
     def _follow(self, message: can.Message) -> bool:
         """See ``AnsweringNode``."""
@@ -515,11 +516,11 @@ class EcuNode(AnsweringNode):
         ours = not (message.is_extended_id or message.is_remote_frame or message.is_error_frame)
         return ours and self._followed.take(message, self._tick)
 
-    def _restart(self) -> None:
+    def _restart(self, state_survives: bool) -> None:
         """See ``AnsweringNode``."""
         self._rejected = self.rejected()
         self._faults.restart()
-        self._ecu.restart()
+        self._ecu.restart(state_survives)
 
     def _receive(self, message: can.Message) -> bool:
         """Pass a frame to the program, send a completed tick's answer; True after an answer."""

@@ -27,6 +27,7 @@ from can_rig.plant.frameless import carried
 from can_rig.plant.in_windows import LoopInWindows
 from can_rig.plant.witnesses import Sensed
 from can_rig.scenario.build import network_of
+from can_rig.scenario.fault_settings import Outage
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import BoolArray
 from firmware_model.law.structs import FloatArray
@@ -206,7 +207,7 @@ class RunWithoutBus:
             columns[name][ticks.start : ticks.stop] = values
 
 
-def _powered(outages: Iterable[range], ticks: range) -> tuple[BoolArray, NDArray[np.int64]]:
+def _powered(outages: Iterable[Outage], ticks: range) -> tuple[BoolArray, NDArray[np.int64]]:
     """(ticks,), whether the controller has power; (ticks,), its ticks since it began."""
     powered, counts = np.ones(len(ticks), dtype=np.bool_), np.array(ticks, dtype=np.int64)
     for outage in outages:

@@ -248,7 +248,7 @@ def simulation(
         ),
         keeps_states=keeps_states,
         at_rest=powered_up(of) if at_rest is None and of is not None else at_rest,
-        restarts=[outage.stop for outage in scenario.outages],
+        restarts=[(each.start, each.stop, each.state_survives) for each in scenario.outages],
     )
 
 

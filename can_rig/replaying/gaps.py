@@ -26,6 +26,7 @@ from can_rig.frames.codec import COUNTERS, ROLES
 from can_rig.frames.network import Network
 from can_rig.logs.frames import NS_PER_S
 from can_rig.replaying.rig_frames import SPEED_ROLE, RigFrame, is_input
+from can_rig.scenario.fault_settings import Outage
 
 NEAR: Final = 32
 """Largest distance of a usable frame from the current tick, in ticks."""
@@ -68,7 +69,7 @@ class Account:
         outages: ticks of a controller without power: no answers, and counters begin anew.
     """
 
-    def __init__(self, network: Network, tick_ns: int, outages: Sequence[range] = ()) -> None:
+    def __init__(self, network: Network, tick_ns: int, outages: Sequence[Outage] = ()) -> None:
         self._outages = outages
         self._names = [codec.name for codec in network.by_role]
         self._lengths = [codec.layout.length for codec in network.by_role]

@@ -116,6 +116,7 @@ class FaultSettings:
     gain: float | None = None
     other: Measured | None = None
     late_ticks: Annotated[int, Field(ge=1, le=MAX_LATE_TICKS)] = 10
+    state_survives: bool = False
 
     def __post_init__(self) -> None:
         needed = None if self.kind in WHERE_IT_IS else NUMBER.get(self.kind)
@@ -202,19 +203,38 @@ class FaultSettings:
         return range(begin + steps * self.every, min(end, run.stop), self.every)
 
 
-def outages(faults: Iterable[FaultSettings], tick_ns: int) -> tuple[range, ...]:
-    """The ticks in which the controller has no power, in order; each range ends with a restart.
+@dataclass(frozen=True)
+class Outage:
+    """Ticks in which the controller has no power, from ``start`` until before ``stop``.
 
-    Outages that touch are one. An outage between two ticks is an empty range: a restart alone.
+    ``state_survives``: the controller begins again with the state saved before ``start``.
     """
-    spans = sorted(
-        (-(-begin_ns // tick_ns), -(-end_ns // tick_ns))
-        for begin_ns, end_ns in (fault.span_ns for fault in faults if fault.kind == RESTARTED)
+
+    start: int
+    stop: int
+    state_survives: bool = False
+
+    def __contains__(self, tick: int) -> bool:
+        return self.start <= tick < self.stop
+
+
+def outages(faults: Iterable[FaultSettings], tick_ns: int) -> tuple[Outage, ...]:
+    """The outages of the controller, in order; each ends with a restart.
+
+    Outages that touch are one, whose state survives if the state survives each. An outage between
+    two ticks has no tick: a restart alone.
+    """
+    found = sorted(
+        (-(-fault.span_ns[0] // tick_ns), -(-fault.span_ns[1] // tick_ns), fault.state_survives)
+        for fault in faults
+        if fault.kind == RESTARTED
     )
-    merged: list[range] = []
-    for begin, end in spans:
-        if merged and begin <= merged[-1].stop:
-            merged[-1] = range(merged[-1].start, max(end, merged[-1].stop))
+    merged: list[Outage] = []
+    for begin, end, survives in found:
+        last = merged[-1] if merged else None
+        if last is not None and begin <= last.stop:
+            both = last.state_survives and survives
+            merged[-1] = Outage(last.start, max(end, last.stop), both)
         else:
-            merged.append(range(begin, end))
+            merged.append(Outage(begin, end, survives))
     return tuple(merged)

@@ -24,6 +24,7 @@ from can_rig.scenario.fault_settings import (
     PLACES,
     FaultSettings,
     Moment,
+    Outage,
     outages,
 )
 from can_rig.scenario.log_signals import OF_A_CAR, OF_SENSORS, Role
@@ -446,8 +447,8 @@ class Scenario:
         return tuple(fault for fault in self.fault if fault.kind != "none")
 
     @cached_property
-    def outages(self) -> tuple[range, ...]:
-        """The ticks in which the controller has no power; see ``fault_settings.outages``."""
+    def outages(self) -> tuple[Outage, ...]:
+        """The outages of the controller; see ``fault_settings.outages``."""
         return outages(self.faults, self.tick_ns)
 
     @cached_property

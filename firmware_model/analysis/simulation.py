@@ -35,6 +35,7 @@ from firmware_model.analysis.loop import (
 )
 from firmware_model.analysis.sampled_plant import SampledPlant, follow
 from firmware_model.law import controller as law
+from firmware_model.law.knowledge import saved_in
 from firmware_model.law.layout import Table, precision_of, table_type
 from firmware_model.law.schedule import Constants, change_first_speed
 from firmware_model.law.schedule import State as BlendState
@@ -153,7 +154,8 @@ class Simulation:
         frames: (3, ``GRID``), frames of both commands and of the measurement; see ``hardware``.
         keeps_states: whether ``plant_states`` records the states of a ``SampledPlant``.
         at_rest: (1,), the controller's first state, also after a restart; None: at rest.
-        restarts: ticks at whose begin the controller starts again, at rest, in ascending order.
+        restarts: in ascending order, the first tick without power, the tick at whose begin the
+            controller starts again, and whether the state saved before survives.
     """
 
     def __init__(
@@ -176,7 +178,7 @@ class Simulation:
         frames: FloatArray = hardware.EXACT_FRAMES,
         keeps_states: bool = False,
         at_rest: RecordArray | None = None,
-        restarts: Sequence[int] = (),
+        restarts: Sequence[tuple[int, int, bool]] = (),
     ) -> None:
         self.ticks = ticks = len(reference)
         self.done = 0
@@ -224,19 +226,24 @@ class Simulation:
     def run(self, until: int | None = None) -> None:
         """Advance up to the tick ``until``; None: to the end. Errors of the plant pass through."""
         end = self.ticks if until is None else min(until, self.ticks)
-        for at in self._restarts:
-            if self.done <= at < end:
-                self._run(at)
-                self._restart()
+        for off, on, survives in self._restarts:
+            if survives and self.done <= off < end and self._other is None:
+                self._run(off)
+                self._saved = saved_in(self._loop[0][0], self._loop[1][0])
+            if self.done <= on < end:
+                self._run(on)
+                self._restart(survives)
         self._run(end)
 
-    def _restart(self) -> None:
+    def _restart(self, survives: bool) -> None:
         """Put the controller at rest; a plant that changes its speed says so again."""
         if self._other is not None:
             self._other.restart()
             return
         tables, states, *_ = self._loop
         states.view(np.uint8)[...] = self._at_rest.view(np.uint8)
+        if survives:
+            states[0].saved = self._saved
         if self._speed is not None:
             tables[0] = self._table
             self._speeds[1].view(np.uint8)[...] = 0
@@ -319,7 +326,7 @@ class Simulation:
             speed: likewise; None for a constant speed.
         """
         gone = self.done - keep
-        self._restarts = tuple(at - gone for at in self._restarts)
+        self._restarts = tuple((off - gone, on - gone, its) for off, on, its in self._restarts)
         self.done = keep
         for own, its in zip(self.inputs, inputs, strict=True):
             own[...] = its

@@ -89,15 +89,17 @@ from firmware_model.law.filters.tracking import (
     track,
     track_on,
 )
+from firmware_model.law.knowledge import known_offset, recall_car, recall_loss, save
 from firmware_model.law.layout import precision_of, state_type
 from firmware_model.law.monitor import COMPENSATION_OFF, clear_monitor, watch
 from firmware_model.law.overflow import clear_memories
 from firmware_model.law.precision import real
 from firmware_model.law.reference_shaper import start, tracked_reference
-from firmware_model.law.standby import leave, stands_by, take_commands_down
+from firmware_model.law.standby import stands_by, take_commands_down
 from firmware_model.law.status import Mode
 from firmware_model.law.structs import RecordArray
 from firmware_model.law.takeover import (
+    AT_REST,
     BEGUN,
     UNKNOWN,
     advance_motion,
@@ -161,9 +163,9 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         state.mode = MODE_STANDBY
     elif told and (measured or predicts):
         if state.standby.elapsed > 0.0:
-            leave(table, state, r, y)
-            end_takeover(state.takeover)
-        elif state.takeover.pending != BEGUN:
+            save(table, state)
+            state.takeover.pending = AT_REST
+        if state.takeover.pending != BEGUN:
             take_over(table, state, r, y)
         state.takeover.pending = BEGUN
         compute(table, state, r, y, measured)
@@ -198,12 +200,15 @@ def take_over(table: Table, state: State, r: float, y: float) -> None:
     model_1, model_2 = model_output(
         table.estimator, state.estimator, state.command_1, state.command_2
     )
+    y = y - known_offset(state.saved)
     difference = y - predicted(table, state, model_1 + model_2)
-    if table.takeover.enabled and abs(difference) > table.takeover.least:
-        level = real(0.0, y)
-        if state.takeover.pending == UNKNOWN:
-            level = wanted_level(r, y)
-        reset(table, state, level)
+    moves = table.takeover.enabled == 1 and abs(difference) > table.takeover.least
+    level = real(0.0, y)
+    if moves and state.takeover.pending == UNKNOWN:
+        level = wanted_level(r, y)
+    if moves or state.saved.fingerprint != 0:
+        settle_loop(table, state, level)
+    if moves:
         begin_takeover(table.estimator.channel_1, state.takeover, level, y - level)
 
 
@@ -301,7 +306,7 @@ def measurement_or_prediction(
         state.measurement = y
     y = y - state.takeover.shown
     if measured and listens(table.takeover, state.takeover):
-        state.takeover.error = y - expected
+        state.takeover.error = y - own.difference - expected
     elif measured:
         note_measurement(constants, own, y, expected)
         return y
@@ -357,36 +362,45 @@ def reset(table: Table, state: State, reference: float) -> None:
     The next ``step`` with the same reference and the settled measurement repeats the commands: no
     bump.
     """
+    state.saved.fingerprint = 0
     state.reference = reference
-    target = state.reference
-    zero = real(0.0, target)
+    settle_loop(table, state, state.reference)
+    clear_monitor(state.monitor)
+    state.takeover.pending = BEGUN
+    state.mode = MODE_STANDBY
+
+
+@firmware
+def settle_loop(table: Table, state: State, target: float) -> None:
+    """Put the loop into the steady state at a constant ``target``, with what ``saved`` knows."""
+    zero, one = real(0.0, target), real(1.0, target)
     start(state.reference_shaper, target)
     shown = settle(table.estimator.measurement, state.estimator.measurement, target)
     asked_1 = settle_tracking(table.tracking, state.tracking, shown)
-    asked_2 = table.compensator.reference_share * target
     state.actuator_1.rounded_off = state.actuator_2.rounded_off = zero
     torque = quantise(table.actuator_1, state.actuator_1, saturate(table.actuator_1, asked_1))
-    force = quantise(table.actuator_2, state.actuator_2, saturate(table.actuator_2, asked_2))
-    state.command_1, state.command_2, state.fault_estimate = torque, force, zero
-    settle_estimator(table.estimator, state.estimator, torque, force, target)
-    settle(table.compensator.filter, state.compensator.filter, zero)
-    model_1, model_2 = model_output(table.estimator, state.estimator, torque, force)
-    settle_other_cars(table, state, torque, force)
-    settle_mismatch(table, state, model_1 + model_2)
     state.fault_state = CLEAR
     clear_loss_model(state)
+    release(state.bumpless_transfer)
+    lost = recall_loss(table, state, torque)
+    asked_2 = table.compensator.reference_share * target
+    asked_2 += settle(table.compensator.filter, state.compensator.filter, lost)
+    force = quantise(table.actuator_2, state.actuator_2, saturate(table.actuator_2, asked_2))
+    state.command_1, state.command_2, state.fault_estimate = torque, force, lost
+    settle_estimator(table.estimator, state.estimator, torque, force, target)
+    settle(table.estimator.one_plus_q, state.estimator.one_plus_q, lost)
+    model_1, model_2 = model_output(table.estimator, state.estimator, torque, force)
+    settle_other_cars(table, state, (one - state.loss_model.share) * torque, force)
+    settle_mismatch(table, state, model_1 + model_2)
     start_candidate(table, state)
     clear_hypotheses(state)
-    clear_monitor(state.monitor)
+    clear_prediction(state.prediction)
+    recall_car(table, state)
     state.safe_stop.elapsed = state.standby.elapsed = 0.0
     state.standby.slow = 0
     state.shortfall_1.accumulators[:] = 0.0
     state.shortfall_2.accumulators[:] = 0.0
-    release(state.bumpless_transfer)
-    clear_prediction(state.prediction)
     end_takeover(state.takeover)
-    state.takeover.pending = BEGUN
-    state.mode = MODE_STANDBY
 
 
 @firmware

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from firmware_model.law import actuator, monitor, standby, status, takeover
+from firmware_model.law import actuator, knowledge, monitor, standby, status, takeover
 from firmware_model.law.fault_decision import (
     likelihood_ratio,
 )
@@ -127,6 +127,7 @@ class State(status.State):
     prediction: Annotated[PredictionState, "1", "in place of a missing measurement"]
     standby: Annotated[standby.State, "1", "of a car slower than the lowest design"]
     takeover: Annotated[takeover.State, "1", "of a moving plant"]
+    saved: Annotated[knowledge.Saved, "1", "what outlives a restart, until the begin"]
     monitor: Annotated[monitor.State, "1", "what has been taken away"]
 
 

@@ -10,7 +10,7 @@ of the measurement (m/s²), ``tick`` for a sampling period, ``1`` for a pure num
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, cast, get_type_hints
@@ -137,3 +137,37 @@ def struct_type(struct: type[Struct], precision: Precision) -> np.dtype[np.void]
 def record_type(struct: type[Struct], precision: Precision) -> np.dtype[np.void]:
     """``struct_type`` with members (nested members too) readable and writable as attributes."""
     return np.dtype((np.record, struct_type(struct, precision)))
+
+
+def leaves(
+    struct: type[Struct], dtype: np.dtype[np.void], at: int = 0
+) -> Iterator[tuple[tuple[str, ...], int, np.dtype[Any]]]:
+    """Path, offset and layout of each number, and each array of numbers, of a struct."""
+    assert dtype.fields is not None
+    for field in fields_of(struct):
+        kind, offset, *_ = dtype.fields[field.name]
+        if isinstance(field.kind, type):
+            for path, inner, numbers in leaves(field.kind, kind, at + offset):
+                yield (field.name, *path), inner, numbers
+        else:
+            yield (field.name,), at + offset, kind
+
+
+def values(struct: type[Struct], record: Any) -> bytes:
+    """The numbers of a record, low byte first, without padding."""
+    found = b""
+    for path, *_ in leaves(struct, record.dtype):
+        value = record
+        for each in path:
+            value = value[each]
+        found += as_bytes(np.asarray(value))
+    return found
+
+
+def as_bytes(numbers: Any) -> bytes:
+    """Integers and real numbers; every not-a-number is infinity plus one bit, as in C."""
+    plain = np.array(numbers).astype(numbers.dtype.newbyteorder("<"))
+    if plain.dtype.kind == "f":
+        bits = plain.reshape(-1).view(f"<u{plain.dtype.itemsize}")
+        bits[np.isnan(plain.reshape(-1))] = np.array(np.inf, plain.dtype).view(bits.dtype) + 1
+    return plain.tobytes()

@@ -1,31 +1,16 @@
 #include "e2e.h"
 
+#include "crc.h"
+
 #define COUNTERS 15     /* 0..14 */
 #define MAX_DELTA 1     /* tolerated step where no frame was missed */
 #define WIDEST 15       /* a window that tolerates every step */
-#define POLYNOMIAL 0x1D
-
-static uint8_t crc_with(uint8_t crc, uint8_t byte)
-{
-    uint8_t value = (uint8_t)(crc ^ byte);
-
-    for (int bit = 0; bit < 8; bit++) {
-        const uint8_t shifted = (uint8_t)(value << 1);
-
-        value = (value & 0x80u) != 0 ? (uint8_t)(shifted ^ POLYNOMIAL) : shifted;
-    }
-    return value;
-}
 
 static uint8_t crc_of(uint16_t data_id, const uint8_t data[E2E_BYTES])
 {
-    uint8_t crc = crc_with(0, (uint8_t)(data_id & 0xFFu));
+    const uint8_t identifier[2] = {(uint8_t)(data_id & 0xFFu), (uint8_t)(data_id >> 8)};
 
-    crc = crc_with(crc, (uint8_t)(data_id >> 8));
-    for (int i = 1; i < E2E_BYTES; i++) {
-        crc = crc_with(crc, data[i]);
-    }
-    return crc;
+    return crc_8(crc_8(0, identifier, 2), &data[1], E2E_BYTES - 1);
 }
 
 void e2e_protector_init(struct e2e_protector *protector, uint16_t data_id)

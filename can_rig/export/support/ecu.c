@@ -42,6 +42,16 @@ bool ecu_init(struct ecu *ecu)
     return ecu->is_fit;
 }
 
+void ecu_save(struct ecu *ecu, struct knowledge_saved *saved)
+{
+    firmware_save(&ecu->state, saved);
+}
+
+bool ecu_restore(struct ecu *ecu, const struct knowledge_saved *saved)
+{
+    return firmware_restore(&ecu->state, saved);
+}
+
 /* Whether the content of a frame may be used: intact, in sequence, and of this tick. */
 static bool receive(struct ecu_receiver *receiver, uint16_t tick, uint8_t length,
                     const uint8_t *data)

@@ -63,6 +63,14 @@ struct ecu {
  */
 bool ecu_init(struct ecu *ecu);
 
+/* What is known of the car and of lost actuators, for non-volatile memory: see firmware_save. */
+void ecu_save(struct ecu *ecu, struct knowledge_saved *saved);
+
+/* Right after ecu_init: begin with what ecu_save has written. False, and no effect, where a bit of
+ * 'saved' is wrong, or another controller has written it.
+ */
+bool ecu_restore(struct ecu *ecu, const struct knowledge_saved *saved);
+
 /* Take in a frame that came at 'now_us'; whether it completes the tick, so that ecu_on_tick is due
  * at once.
  */

@@ -4,6 +4,8 @@
 
 #include "constants.h"
 #include "controller.h"
+#include "crc.h"
+#include "self_test.h"
 
 //: if blends
 void firmware_init(struct firmware_memory *memory)
@@ -21,6 +23,51 @@ void firmware_init(struct layout_state *state)
     controller_start_up(&controller_table, state);
     state->takeover.pending = 1;
 //: end
+}
+
+static int32_t crc_of(const struct knowledge_saved *saved)
+{
+    const uint32_t own = (uint32_t)sizeof saved->crc;
+    const uint8_t *const bytes = (const uint8_t *)saved;
+    const uint32_t crc = crc_32(UINT32_MAX, &bytes[own], (uint32_t)sizeof *saved - own);
+
+    return signed_32(crc ^ UINT32_MAX);
+}
+
+//: if blends
+void firmware_save(struct firmware_memory *memory, struct knowledge_saved *saved)
+{
+    struct layout_state *const state = &memory->state;
+//: else
+void firmware_save(struct layout_state *state, struct knowledge_saved *saved)
+{
+//: end
+    const int32_t before = state->saved.fingerprint;
+
+//: if blends
+    knowledge_save(&memory->table, state);
+//: else
+    knowledge_save(&controller_table, state);
+//: end
+    *saved = state->saved;
+    state->saved.fingerprint = before;
+    saved->fingerprint = signed_32(self_test_data.fingerprint);
+    saved->crc = crc_of(saved);
+}
+
+//: if blends
+bool firmware_restore(struct firmware_memory *memory, const struct knowledge_saved *saved)
+{
+    struct layout_state *const state = &memory->state;
+//: else
+bool firmware_restore(struct layout_state *state, const struct knowledge_saved *saved)
+{
+//: end
+    if (saved->fingerprint != signed_32(self_test_data.fingerprint) || saved->crc != crc_of(saved)) {
+        return false;
+    }
+    state->saved = *saved;
+    return true;
 }
 
 //: if blends

@@ -21,6 +21,8 @@
 #ifndef FIRMWARE_H
 #define FIRMWARE_H
 
+#include <stdbool.h>
+
 #include "layout.h"
 //: if blends
 #include "schedule.h"
@@ -58,6 +60,24 @@ void firmware_init(struct firmware_memory *memory);
 /* Begin as after power-up: mode MODE_STANDBY. The first step with both inputs takes over a plant that
  * moves. */
 void firmware_init(struct layout_state *state);
+//: end
+
+/* Write into 'saved' what is known of the car and of lost actuators, for non-volatile memory. Any
+ * time: what is saved and not yet begun with is written again.
+ */
+//: if blends
+void firmware_save(struct firmware_memory *memory, struct knowledge_saved *saved);
+//: else
+void firmware_save(struct layout_state *state, struct knowledge_saved *saved);
+//: end
+
+/* Right after firmware_init: the first step with both inputs begins with what is known. False, and
+ * no effect, where 'saved' is damaged, or of another controller: all its bits are guarded.
+ */
+//: if blends
+bool firmware_restore(struct firmware_memory *memory, const struct knowledge_saved *saved);
+//: else
+bool firmware_restore(struct layout_state *state, const struct knowledge_saved *saved);
 //: end
 
 //: if blends

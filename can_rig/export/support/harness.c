@@ -17,6 +17,14 @@ void ecu_send(const struct ecu *ecu, uint16_t id, const uint8_t data[8])
     frames++;
 }
 
+bool harness_restart(struct ecu *ecu, bool state_survives)
+{
+    struct knowledge_saved saved;
+
+    ecu_save(ecu, &saved);
+    return ecu_init(ecu) && (!state_survives || ecu_restore(ecu, &saved));
+}
+
 size_t harness_size(void)
 {
     return sizeof(struct ecu);

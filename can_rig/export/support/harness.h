@@ -18,6 +18,9 @@
 /* Bytes that a node needs. */
 size_t harness_size(void);
 
+/* Restart the node, as after power-up, with its saved state or from nothing; whether it is fit. */
+bool harness_restart(struct ecu *ecu, bool state_survives);
+
 /* Hand a node a frame, and let it answer the tick that this completes.
  *
  * sent: room for HARNESS_MOST_FRAMES frames.

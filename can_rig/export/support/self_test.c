@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "constants.h"
+#include "crc.h"
 
 typedef {bits} bits_of_real;
 
@@ -11,15 +12,9 @@ typedef {bits} bits_of_real;
 
 static uint32_t with_byte(uint32_t crc, uint32_t byte)
 {
-    static const uint32_t of_nibble[16] = {
-        0x00000000u, 0x1DB71064u, 0x3B6E20C8u, 0x26D930ACu, 0x76DC4190u, 0x6B6B51F4u,
-        0x4DB26158u, 0x5005713Cu, 0xEDB88320u, 0xF00F9344u, 0xD6D6A3E8u, 0xCB61B38Cu,
-        0x9B64C2B0u, 0x86D3D2D4u, 0xA00AE278u, 0xBDBDF21Cu,
-    };
+    const uint8_t low = (uint8_t)byte;
 
-    crc ^= byte;
-    crc = crc >> 4 ^ of_nibble[crc & 0xFu];
-    return crc >> 4 ^ of_nibble[crc & 0xFu];
+    return crc_32(crc, &low, 1u);
 }
 
 static uint32_t with_real(uint32_t crc, real x)

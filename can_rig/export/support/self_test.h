@@ -57,6 +57,7 @@ struct self_test_data {
     const struct self_test_span *schedule;
 //: end
     uint32_t crc_of_constants;
+    uint32_t fingerprint; /* of the constants and of the layout of a saved state */
     uint32_t crc_of_answers;
 };
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from can_rig.frames.codec import COUNTERS, MessageCodec, Receiver, Transmitter
 from can_rig.frames.network import Network
-from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.fault_settings import FaultSettings, Outage
 from can_rig.scenario.sensor_settings import SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import BoolArray
@@ -323,10 +323,10 @@ def _feedback(
     return replaced
 
 
-def _watched(changes: Iterable[range], outages: Iterable[range], ticks: int) -> range:
+def _watched(changes: Iterable[range], outages: Iterable[Outage], ticks: int) -> range:
     """The ticks that need a look at every frame."""
-    spans = [span for span in changes if span]
-    ends = [(max(span.start - 1, 0), span.stop) for span in (*spans, *outages)]
+    spans: list[range | Outage] = [*(span for span in changes if span), *outages]
+    ends = [(max(span.start - 1, 0), span.stop) for span in spans]
     if not ends:
         return range(0)
     # One tick earlier the receiver has heard one frame; more earlier frames change nothing but the

@@ -19,6 +19,8 @@ from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
+from firmware_model.law.controller import init
+from firmware_model.law.takeover import UNKNOWN
 from tests.firmware.analysis.loops import CAR, SLOW
 from tests.firmware.scheduled import SPEEDS, scheduled
 
@@ -201,12 +203,24 @@ def test_a_window_that_moves_on_sees_the_same_run(changing: bool) -> None:
     np.testing.assert_array_equal(window.reached, whole.reached[:, -length:])
 
 
-def test_a_restarted_controller_answers_as_a_fresh_one_while_the_plant_goes_on() -> None:
-    whole = Simulation(TABLE, sample(CAR, TICK_S), REFERENCE, restarts=[15])
+@pytest.mark.parametrize("survives", [False, True])
+def test_a_restarted_controller_answers_as_a_fresh_one_while_the_plant_goes_on(
+    survives: bool,
+) -> None:
+    at_rest = init(TABLE)
+    at_rest["takeover"]["pending"] = UNKNOWN
+    restart = (12, 15, survives)
+    whole = Simulation(TABLE, sample(CAR, TICK_S), REFERENCE, restarts=[restart], at_rest=at_rest)
+    whole.run(12)
     whole.run(15)  # a restart at the end of a part belongs to the next
     whole.run()
     trace = whole.trace
-    firmware = Firmware(TABLE)
+    before, firmware = Firmware(TABLE), Firmware(TABLE)
+    before.begin()
+    for inputs in zip(REFERENCE[:12], trace.measured[:12], strict=True):
+        before.step(*inputs)
+    firmware.begin()
+    assert firmware.restore(before.saved() if survives else b"") is survives
     answers = [
         firmware.step(*inputs) for inputs in zip(REFERENCE[15:], trace.measured[15:], strict=True)
     ]
@@ -222,7 +236,7 @@ def test_a_restarted_controller_hears_the_speed_anew() -> None:
     speed = np.linspace(SPEEDS[0], SPEEDS[-1], TICKS)
     loop = Simulation(
         of.table, Recorded(), REFERENCE, tick_s=TICK_S, schedule=of.schedule, speed=speed,
-        restarts=[15],
+        restarts=[(15, 15, False)],
     )  # fmt: skip
     loop.run()
     fresh = Firmware(of.table, speeds=of.schedule)
@@ -251,9 +265,9 @@ class AsAnyController:
 
 
 @pytest.mark.parametrize("keeps", [False, True])
-@pytest.mark.parametrize("restarts", [(), (20,)])
+@pytest.mark.parametrize("restarts", [(), ((20, 20, False),)])
 def test_the_firmware_as_any_controller_gives_the_bits_of_the_law(
-    restarts: tuple[int, ...], keeps: bool
+    restarts: tuple[tuple[int, int, bool], ...], keeps: bool
 ) -> None:
     for plant in (lambda: sample(CAR, TICK_S), Recorded):
         law = simulate(TABLE, plant(), REFERENCE, tick_s=TICK_S, restarts=restarts)

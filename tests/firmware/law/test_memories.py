@@ -56,7 +56,7 @@ def used(table: Any, seed: int = 1) -> Any:
 
     fill(State, state)
     state.fault_state, state.mode = FaultState.CONFIRMED, Mode.RUN
-    state.standby.slow, state.standby.elapsed = 0, 0.0
+    state.standby.slow, state.standby.elapsed, state.saved.fingerprint = 0, 0.0, 0
     return state
 
 

@@ -22,7 +22,7 @@ from can_rig.results.metrics import metrics
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls
-from can_rig.scenario.fault_settings import FaultSettings, outages
+from can_rig.scenario.fault_settings import FaultSettings, Outage, outages
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 from firmware_model.law.status import FaultState
@@ -62,7 +62,11 @@ CASES = {
         "fault.3.kind=frames-corrupted", "fault.3.channel=force-difference", "fault.3.at_s=0.215",
         "fault.3.for_s=0.04",
     ),
-    "drive": restarting(name="drive-cycle"),
+    "with a known loss": restarting(
+        "duration_s=3", "reference.kind=lane-change", "fault.0.at_s=2.2",
+        "fault.0.state_survives=true", "fault.1.kind=actuator-dead", "fault.1.at_s=1",
+    ),
+    "drive": restarting("fault.0.state_survives=true", name="drive-cycle"),
     "on other frames": restarting(name="chassis-can", at_s=0.2, for_s=0.1),
 }  # fmt: skip
 
@@ -102,8 +106,9 @@ def test_every_loop_records_the_same(name: str, tmp_path: Path) -> None:
 
 
 @COMPILER
-def test_every_controller_sends_the_same(tmp_path: Path) -> None:
-    scenario = CASES["with a loss and lost frames"]
+@pytest.mark.parametrize("name", ["with a loss and lost frames", "with a known loss", "drive"])
+def test_every_controller_sends_the_same(name: str, tmp_path: Path) -> None:
+    scenario = CASES[name]
     python = log_of(scenario, tmp_path / "python")
     assert log_of(scenario, tmp_path / "processes", runner=two_processes) == python
     for controller in ("c", "ecu"):
@@ -111,8 +116,9 @@ def test_every_controller_sends_the_same(tmp_path: Path) -> None:
 
 
 @ARM
-def test_an_emulated_board_sends_the_same(tmp_path: Path) -> None:
-    scenario = CASES["counter repeated"]
+@pytest.mark.parametrize("name", ["counter repeated", "drive"])
+def test_an_emulated_board_sends_the_same(name: str, tmp_path: Path) -> None:
+    scenario = CASES[name]
     assert log_of(scenario, tmp_path / "m7", "arm:m7") == log_of(scenario, tmp_path / "python")
 
 
@@ -202,8 +208,12 @@ def test_real_time_refuses_a_restart() -> None:
 
 def test_outages_that_touch_are_one() -> None:
     def fault(at_s: float, for_s: float) -> FaultSettings:
-        return FaultSettings(kind="controller-restarted", at_s=at_s, for_s=for_s)
+        survives = at_s != 2.0
+        return FaultSettings(
+            kind="controller-restarted", at_s=at_s, for_s=for_s, state_survives=survives
+        )
 
     found = outages([fault(5.0, 1.0), fault(1.0, 2.0), fault(2.0, 1.0), fault(3.0, 0.5)], 10**9)
-    assert found == (range(1, 4), range(5, 6))
+    assert found == (Outage(1, 4), Outage(5, 6, state_survives=True))
+    assert [tick in found[0] for tick in (0, 1, 3, 4)] == [False, True, True, False]
     assert outages([FaultSettings(kind="actuator-dead")], 10**9) == ()

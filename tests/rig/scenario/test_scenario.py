@@ -66,7 +66,7 @@ OTHER = {
     "fault.for_s": 0.5, "fault.left": 0.5, "fault.bias_mps2": 0.2, "fault.every": 3,
     "fault.value": 1.0, "fault.offset": 2.0, "fault.drift_per_s": 3.0, "fault.amplitude": 4.0,
     "fault.frequency_rad_per_s": 5.0, "fault.rate_per_s": 6.0, "fault.late_ticks": 7,
-    "fault.gain": -1.0,
+    "fault.gain": -1.0, "fault.state_survives": True,
     **{
         f"plant.{actuator}.{key}": value
         for actuator in ("torque_actuator", "force_difference_actuator")

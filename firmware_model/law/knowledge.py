@@ -1,0 +1,119 @@
+"""What is known of the car and of its actuators, in a form that outlives a restart.
+
+``save`` writes the knowledge into ``state.saved``; the node keeps those bytes. After power-up the
+node puts the bytes back, and the first tick with both inputs begins with them. So a known loss is
+compensated from the first tick, and no test has to find the loss again. The end of standby is such
+a begin too.
+
+Known are the lost share of channel 1, the error of the sensor, θ of the car, and the verdict. The
+variance of θ begins anew: load and tires may have changed. Nothing is known of the motion of the
+car and of commands on their way.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision.covariance import MAX_STATES, SIZES, variance_of
+from firmware_model.law.fault_decision.hypotheses.verdict import (
+    ANOTHER_CAR,
+    BOTH_LOST,
+    SENSOR_FROZEN,
+)
+from firmware_model.law.fault_decision.loss_model import CONFIRMED, known_share
+from firmware_model.law.fault_decision.mismatch import learn_loss
+from firmware_model.law.filters.biquad import settle
+from firmware_model.law.filters.whitener import settle_whitener
+from firmware_model.law.precision import real
+from firmware_model.law.structs import FloatArray, Struct
+
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
+
+class Saved(Struct):
+    """The saved state; neither precision has padding."""
+
+    crc: Annotated[int, "1", "CRC-32 of all bytes behind this number"]
+    fingerprint: Annotated[int, "1", "CRC-32 of the constants and of this layout; 0: nothing saved"]
+    fault_state: Annotated[int, "1", "a FaultState"]
+    verdict: Annotated[int, "1", "a Verdict"]
+    found_size: Annotated[float, "1", "size of the fault of the verdict"]
+    share: Annotated[float, "1", "lost share of channel 1"]
+    share_variance: Annotated[float, "1", "of the share"]
+    offset: Annotated[float, "y", "known error of the sensor"]
+    theta: Annotated[FloatArray, "1", "θ", SIZES]
+
+
+@firmware
+def save(table: Table, state: layout.State) -> None:
+    """Write into ``state.saved`` what is known now; saved knowledge without a begin yet stays."""
+    own = state.saved
+    if own.fingerprint != 0:
+        return
+    own.fingerprint = 1
+    own.fault_state = state.fault_state
+    own.share = known_share(state)
+    own.share_variance = variance_of(state.mismatch.covariance, table.mismatch.n, 0)
+    own.verdict = state.hypotheses.verdict
+    own.found_size = state.hypotheses.found_size
+    own.offset = state.hypotheses.sensor_error.offset
+    for i in range(MAX_STATES):
+        own.theta[i] = state.mismatch.theta[i]
+
+
+def saved_in(table: Table, state: layout.State) -> Saved:
+    """What a begin of a controller can use of ``state``; ``state`` stays as it is."""
+    own: Saved = state.saved
+    before = own.fingerprint
+    save(table, state)
+    found = own.copy()
+    own.fingerprint = before
+    return found
+
+
+@firmware
+def known_offset(own: Saved) -> float:
+    """The saved error of the sensor."""
+    offset: float = own.offset if own.fingerprint != 0 else real(0.0, own.offset)
+    return offset
+
+
+@firmware
+def recall_loss(table: Table, state: layout.State, torque: float) -> float:
+    """Return s w in the steady state of a constant ``torque``; 0 where no loss is saved."""
+    own, loss = state.saved, state.loss_model
+    if own.fingerprint == 0 or own.fault_state != CONFIRMED:
+        return real(0.0, torque)
+    share = own.share
+    w = settle(table.estimator.channel_1, loss.channel_1, torque)
+    state.fault_state = CONFIRMED
+    loss.share = loss.between = loss.followed = share
+    loss.delay[:] = loss.previous_output = w
+    lost: float = share * w
+    state.bumpless_transfer.carried = lost
+    return lost
+
+
+@firmware
+def recall_car(table: Table, state: layout.State) -> None:
+    """Go on with the saved θ, verdict and error of the sensor, behind ``recall_loss``."""
+    own, known, found = state.saved, state.mismatch, state.hypotheses
+    whitener, lost = table.mismatch.whitener, state.bumpless_transfer.carried
+    if own.fingerprint == 0:
+        return
+    own.fingerprint = 0
+    for i in range(MAX_STATES):
+        known.theta[i] = own.theta[i]
+    learn_loss(known, own.share_variance, real(0.0, own.share))
+    settle_whitener(whitener, known.white.lost, state.loss_model.previous_output)
+    if own.verdict != SENSOR_FROZEN and (own.verdict < ANOTHER_CAR or own.verdict == BOTH_LOST):
+        found.verdict = own.verdict
+        found.found_size = own.found_size
+    found.sensor_error.offset = own.offset
+    hidden = settle(table.estimator.measurement, found.sensor_error.answer, own.offset)
+    settle_whitener(whitener, known.white.sensor_error, hidden)
+    settle_whitener(whitener, known.white.d_hat, lost - hidden)
+    state.prediction.difference = own.offset

@@ -1,0 +1,180 @@
+"""Saved knowledge: a restarted controller goes on with the loss, the sensor and the car."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import steer_by_wire
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.firmware import Firmware
+from firmware_model.law import controller, knowledge
+from firmware_model.law.status import FaultState, Verdict
+from firmware_model.law.structs import Precision
+from tests.firmware.law.cases import other_cars
+
+TICK_S = 0.001
+PLANT = sample(steer_by_wire(), TICK_S)
+
+
+def table_of(**changes: Any) -> Any:
+    known = {
+        "latency_ticks": 1,
+        "estimator": "zoh",
+        "mismatch": other_cars(2),
+        "on_confirmation": True,
+        "noise_rms": 0.002,
+    } | changes
+    specification = DesignSpecification(tau_s=0.05, tau_q_s=0.02)
+    return build(design(steer_by_wire(), specification), Target(tick_s=TICK_S, **known))
+
+
+TABLE = table_of()
+
+
+class Loop:
+    """The model of the law with a sensor, in a sine; channel 1 works to a part."""
+
+    def __init__(self, working: float = 1.0, bias: float = 0.0, table: Any = TABLE) -> None:
+        self.table, self.working, self.bias = table, working, bias
+        self.firmware = Firmware(table)
+        self.state, self.acting, self.ticks = PLANT.rest, np.zeros(2), 0
+        self.noise = np.random.default_rng(3)
+
+    @property
+    def error(self) -> float:
+        return float(PLANT.c @ self.state) - self.reference
+
+    @property
+    def reference(self) -> float:
+        return float(np.sin(1.3 * self.ticks * TICK_S))
+
+    def run(self, ticks: int) -> list[Any]:
+        answers = []
+        for _ in range(ticks):
+            measured = float(PLANT.c @ self.state) + self.bias
+            measured += 0.002 * self.noise.standard_normal()
+            answers.append(self.firmware.step(self.reference, measured))
+            left = np.array([self.working, 1.0])
+            self.state = PLANT.phi @ self.state + PLANT.gamma @ (left * self.acting)
+            self.acting = np.array(answers[-1][:2])
+            self.ticks += 1
+        return answers
+
+    def restart(self, remembers: bool) -> None:
+        saved = self.firmware.saved()
+        self.firmware = Firmware(self.table)
+        self.firmware.begin()
+        assert self.firmware.restore(saved if remembers else b"") is remembers
+
+
+def lost(working: float = 0.0, **changes: Any) -> Loop:
+    """A loop with a confirmed loss, at the top of the sine."""
+    loop = Loop(table=table_of(**changes) if changes else TABLE)
+    loop.run(600)
+    loop.working = working
+    answers = loop.run(2400)
+    assert answers[-1].fault_state == FaultState.CONFIRMED
+    return loop
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("working", [0.0, 0.5])
+def test_a_known_loss_is_compensated_from_the_first_tick(working: float) -> None:
+    largest = {}
+    for remembers in (True, False):
+        loop = lost(working)
+        loop.restart(remembers)
+        states, errors = [], []
+        for _ in range(2000):
+            states.append(loop.run(1)[0].fault_state)
+            errors.append(abs(loop.error))
+        assert (states[0] == FaultState.CONFIRMED) is remembers
+        largest[remembers] = max(errors)
+        if remembers:
+            assert set(states) == {FaultState.CONFIRMED}
+    assert largest[True] < 0.7 * largest[False]
+
+
+@pytest.mark.parametrize("on_confirmation", [True, False])
+def test_the_steady_state_with_a_known_loss_repeats_its_commands(on_confirmation: bool) -> None:
+    """At y = r every tick answers the same; d̂ is the lost part of y."""
+    quiet = table_of(noise_rms=0.0, on_confirmation=on_confirmation)
+    loop = lost(0.5, on_confirmation=on_confirmation)
+    state = controller.init(quiet)[0]
+    state.saved = knowledge.saved_in(quiet, loop.firmware._states[0])
+    state.saved.theta[:] = 0.0  # the model itself
+    share = float(state.saved.share)
+    assert share == pytest.approx(0.5, abs=0.02)
+    controller.settle_loop(quiet, state, 0.8)
+    first = [float(state[name]) for name in ("command_1", "command_2", "fault_estimate")]
+    assert first[2] == pytest.approx(share * 0.8, rel=1e-9)
+    for _ in range(50):
+        controller.step(quiet, state, 0.8, 0.8)
+        now = [float(state[name]) for name in ("command_1", "command_2", "fault_estimate")]
+        assert now == pytest.approx(first, rel=1e-6)
+    gain_1, gain_2 = (PLANT.c @ np.linalg.solve(np.eye(len(PLANT.c)) - PLANT.phi, PLANT.gamma)).T
+    assert (1.0 - share) * gain_1 * first[0] + gain_2 * first[1] == pytest.approx(0.8, rel=1e-3)
+
+
+@pytest.mark.compiled
+def test_a_known_error_of_the_sensor_stays_known() -> None:
+    loop = Loop()
+    loop.run(500)
+    loop.bias = 0.2
+    assert loop.run(1500)[-1].verdict == Verdict.SENSOR_BIASED
+    loop.restart(remembers=True)
+    answers = loop.run(3000)
+    assert {answer.verdict for answer in answers} == {Verdict.SENSOR_BIASED}
+    assert FaultState.CONFIRMED not in {answer.fault_state for answer in answers}
+    loop.bias = 0.0
+    assert Verdict.NOTHING in {answer.verdict for answer in loop.run(2000)}
+
+
+def test_the_car_stays_known() -> None:
+    loop = Loop()
+    loop.run(1000)
+    known = loop.firmware._states[0].mismatch
+    theta = known.theta.copy()
+    loop.restart(remembers=True)
+    state = loop.firmware._states[0]
+    loop.firmware.step(np.nan, np.nan)
+    controller.take_over(TABLE, state, 0.0, 0.0)
+    np.testing.assert_array_equal(state.mismatch.theta[2:], theta[2:])
+    assert theta[2:].any()
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_one_flipped_bit_anywhere_is_refused(precision: Precision) -> None:
+    table = table_of(precision=precision)
+    firmware = Firmware(table)
+    firmware.reset(0.5)
+    whole = firmware.saved()
+    assert firmware.saved() == whole
+    other = Firmware(table)
+    assert other.restore(whole)
+    for bit in range(8 * len(whole)):
+        damaged = bytearray(whole)
+        damaged[bit // 8] ^= 1 << bit % 8
+        assert not other.restore(bytes(damaged)), bit
+    assert not other.restore(whole[:-1])
+    assert not Firmware(table_of(precision=precision, noise_rms=0.003)).restore(whole)
+    assert other.saved() == whole
+
+
+def test_saved_knowledge_ends_with_a_reset_and_outlives_ticks_without_inputs() -> None:
+    loop = lost()
+    whole = loop.firmware.saved()
+    firmware = Firmware(TABLE)
+    firmware.begin()
+    assert firmware.restore(whole)
+    for _ in range(20):
+        firmware.step(np.nan, np.nan)
+    assert firmware.saved() == whole
+    firmware.reset(0.0)
+    assert firmware.step(0.0, 0.0).fault_state != FaultState.CONFIRMED
