@@ -82,7 +82,7 @@ def test_the_numbers_of_the_gallery_are_those_of_a_run(site: Path, tmp_path: Pat
 
 @pytest.mark.parametrize(
     ("line", "says"),
-    [("[away](nowhere.md)", "nowhere.md"), ("[no](scenarios.md#no-heading)", "no-heading")],
+    [("[away](nowhere)", "nowhere"), ("[no](scenarios.md#no-heading)", "no-heading")],
 )
 def test_a_broken_link_fails_the_build(
     line: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
