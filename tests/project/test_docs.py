@@ -198,7 +198,8 @@ def test_nothing_in_the_repository_cites_a_page_that_is_not_there() -> None:
             if file.suffix not in {".py", ".toml", ".dbc", ".c", ""} or not file.is_file():
                 continue
             text = file.read_text("utf-8")
-            cited = set(re.findall(r"\b[\w-]+\.md\b", text))
+            made = {"commands.md", "index.md"} if file.stem.endswith("website") else set()
+            cited = set(re.findall(r"\b[\w-]+\.md\b", text)) - made
             assert cited <= pages, f"{file}: {cited - pages}"
             cited = set(re.findall(r"\b[Tt]rap (\d+)", text))  # of docs/traps.md
             assert cited <= set(traps), f"{file}: trap {cited - set(traps)}"
