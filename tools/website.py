@@ -79,7 +79,7 @@ def main(names: list[str]) -> None:
     for page in (BUILD / "site").rglob("*.html"):
         if fetched := OUTSIDE.search(page.read_text("utf-8")):
             raise SystemExit(f"{page}: needs the network: {fetched[0]}")
-    print(f"site in {(BUILD / 'site' / 'index.html').relative_to(ROOT)}")
+    print(f"site in {BUILD / 'site' / 'index.html'}")
 
 
 def _run(module: str, *words: object) -> None:

@@ -37,10 +37,9 @@ class Text(HTMLParser):
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site with a gallery of one scenario."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(website, "BUILD", ROOT / "build" / tmp_path_factory.mktemp("site").name)
+        patch.setattr(website, "BUILD", tmp_path_factory.mktemp("site"))
         website.main(["pendulum"])
-        yield website.BUILD / "site"
-        shutil.rmtree(website.BUILD)
+        return website.BUILD / "site"
 
 
 @pytest.mark.timeout(300)
