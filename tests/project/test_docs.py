@@ -36,25 +36,6 @@ def ids(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-def anchors(text: str) -> set[str]:
-    """What GitHub makes of the headings of a page."""
-    headings = re.findall(r"^#+ (.*)$", prose(text), re.MULTILINE)
-    plain = [re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings]
-    return {heading.replace(" ", "-") for heading in plain}
-
-
-@pytest.mark.parametrize("page", PAGES, ids=ids)
-def test_every_relative_link_leads_somewhere(page: Path) -> None:
-    for link in re.findall(r"\]\(([^)\s]+)\)", prose(page.read_text("utf-8"))):
-        if link.startswith("https://"):
-            continue
-        path, _, anchor = link.partition("#")
-        there = (page.parent / path).resolve() if path else page
-        assert there.exists(), link
-        if anchor:
-            assert anchor in anchors(there.read_text("utf-8")), link
-
-
 @pytest.mark.parametrize("page", PAGES, ids=ids)
 def test_every_file_that_it_names_is_there(page: Path) -> None:
     for name in re.findall(rf"`((?:{PLACES})/[\w./-]*)", prose(page.read_text("utf-8"))):
