@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from playwright.sync_api import expect, sync_playwright
 
-from can_rig.views.bench_page import on_one_axis
+from can_rig.drawing.bench import on_one_axis
 from tests.helpers import asked
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
