@@ -1,4 +1,4 @@
-"""What the actuators report, against what they were told.
+"""Echoes: the actuators report their outputs; commands and reports must agree.
 
 An echo is an actuator's own report of its output. The law models the output of a healthy actuator
 from the commands, so the error
@@ -21,7 +21,7 @@ import math
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.hypotheses import candidate
+from firmware_model.law.fault_decision import candidate
 from firmware_model.law.filters import biquad, whitener
 from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.filters.whitener import add_signal, settle_whitener, whiten
@@ -131,7 +131,7 @@ def hear_first(
 
 @firmware
 def advance_echoes(table: Table, state: layout.State) -> None:
-    """A tick on: the outputs of the next tick; ``estimator`` is still that of this tick."""
+    """A tick on: compute the outputs of the next tick; call before ``advance_model``."""
     constants, own, estimator = table.echoes, state.echoes, table.estimator
     if constants.longest == 0:
         return

@@ -14,17 +14,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.echoes import missing_command
-from firmware_model.law.fault_decision.hypotheses.candidate import (
+from firmware_model.law.fault_decision.candidate import (
     Constants as CandidateConstants,
 )
-from firmware_model.law.fault_decision.hypotheses.candidate import (
+from firmware_model.law.fault_decision.candidate import (
     Limits as CandidateLimits,
 )
-from firmware_model.law.fault_decision.hypotheses.candidate import (
+from firmware_model.law.fault_decision.candidate import (
     State as CandidateState,
 )
-from firmware_model.law.fault_decision.hypotheses.candidate import has_failed, start, take_in
+from firmware_model.law.fault_decision.candidate import has_failed, start, take_in
+from firmware_model.law.fault_decision.echoes import missing_command
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.precision import real

@@ -19,13 +19,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision import candidate
+from firmware_model.law.fault_decision.candidate import likeliest
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, variance_of
 from firmware_model.law.fault_decision.echoes import Echo, believe, says_lost, works
-from firmware_model.law.fault_decision.hypotheses import (
-    candidate,
-    signatures,
-)
-from firmware_model.law.fault_decision.hypotheses.candidate import likeliest
+from firmware_model.law.fault_decision.hypotheses import signatures
 from firmware_model.law.fault_decision.hypotheses.frozen import (
     Constants as FrozenConstants,
 )
