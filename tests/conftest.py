@@ -11,6 +11,8 @@ import pytest
 from tests.processes import end_all
 from tests.times import LONG
 
+pytest_plugins = ["tests.browser"]
+
 # Assertions in helpers tell their values too.
 pytest.register_assert_rewrite("tests.helpers", "tests.vcan", "tests.firmware", "tests.rig")
 

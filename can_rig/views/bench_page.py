@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -12,7 +12,7 @@ import numpy as np
 from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.decoding.trace import PROTECTION, Collected, Kinds
 from can_rig.drawing import bench
-from can_rig.drawing.bench import Chart, Curve, Recording, recorded
+from can_rig.drawing.bench import Chart, Curve, Recording, on_one_axis, recorded
 from can_rig.drawing.html import page
 from can_rig.drawing.names import names_of, printed
 from can_rig.frames import operator_frames
@@ -136,41 +136,6 @@ def overlaid(a: Recording, b: Recording) -> Recording:
     marks = sorted([*a.marks, *of_b], key=lambda mark: float(mark["time_s"]))
     gaps = a.span_gaps or len(time_s) > max(len(a.time_s), len(b.time_s))
     return replace(a, time_s=time_s, curves=curves, charts=charts, marks=marks, span_gaps=gaps)
-
-
-def on_one_axis(
-    curves: Sequence[tuple[FloatArray, FloatArray]],
-) -> tuple[FloatArray, list[FloatArray]]:
-    """Curves with times of their own at common times, without losing a peak.
-
-    The time is cut into equal parts. Each part has two times: the first has the least or the
-    greatest value of a curve in the part, the second has the other; nan without a value.
-
-    Args:
-        curves: time and values of each, (n,) ascending; n is at least one.
-    """
-    if not curves:
-        return np.empty(0), []
-    begin = min(float(time_s[0]) for time_s, _ in curves)
-    end = max(float(time_s[-1]) for time_s, _ in curves)
-    parts = min(bench.MOST_POINTS // 2, sum(len(time_s) for time_s, _ in curves))
-    width = (end - begin) / parts or 1.0
-    columns = []
-    for time_s, values in curves:
-        part = np.minimum(((time_s - begin) / width).astype(np.int64), parts - 1)
-        starts = np.flatnonzero(np.diff(part, prepend=-1))
-        ends = np.append(starts[1:], len(part)) - 1
-        least, greatest = (f.reduceat(values, starts) for f in (np.fmin, np.fmax))
-        rising = values[starts] <= values[ends]
-        column = np.full((parts, 2), np.nan)
-        column[part[starts], 0] = np.where(rising, least, greatest)
-        column[part[starts], 1] = np.where(
-            starts == ends, np.nan, np.where(rising, greatest, least)
-        )
-        columns.append(column.ravel())
-    known = np.isfinite(np.stack(columns)).any(axis=0)
-    times = begin + 0.5 * width * np.arange(2 * parts)
-    return times[known], [column[known] for column in columns]
 
 
 def page_of(title: str, of: Recording) -> str:

@@ -36,25 +36,6 @@ def ids(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-def anchors(text: str) -> set[str]:
-    """What GitHub makes of the headings of a page."""
-    headings = re.findall(r"^#+ (.*)$", prose(text), re.MULTILINE)
-    plain = [re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings]
-    return {heading.replace(" ", "-") for heading in plain}
-
-
-@pytest.mark.parametrize("page", PAGES, ids=ids)
-def test_every_relative_link_leads_somewhere(page: Path) -> None:
-    for link in re.findall(r"\]\(([^)\s]+)\)", prose(page.read_text("utf-8"))):
-        if link.startswith("https://"):
-            continue
-        path, _, anchor = link.partition("#")
-        there = (page.parent / path).resolve() if path else page
-        assert there.exists(), link
-        if anchor:
-            assert anchor in anchors(there.read_text("utf-8")), link
-
-
 @pytest.mark.parametrize("page", PAGES, ids=ids)
 def test_every_file_that_it_names_is_there(page: Path) -> None:
     for name in re.findall(rf"`((?:{PLACES})/[\w./-]*)", prose(page.read_text("utf-8"))):
@@ -190,7 +171,7 @@ def test_the_plant_of_ones_own_is_one(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_nothing_in_the_repository_cites_a_page_that_is_not_there() -> None:
-    pages = {page.name for page in PAGES}
+    pages = {page.name for page in PAGES} | {"commands.md", "index.md"}  # made by tools/website
     traps = re.findall(r"^(\d+)\. \*\*", text_of("docs/traps.md"), re.MULTILINE)
     assert traps == [str(number) for number in range(1, len(traps) + 1)]
     for folder in PLACES.split("|"):

@@ -25,6 +25,7 @@ ELSEWHERE = {
     "scenario_keys": "tests/project/test_scenario_keys.py",
     "setup": "tests/project/test_lock.py",
     "vcan_guest": "tests/project/test_vcan_guest.py",
+    "website": "tests/project/test_website.py",
 }
 """By tool, the tests that are about it."""
 

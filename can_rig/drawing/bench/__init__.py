@@ -16,8 +16,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from can_rig import paged
-from can_rig.drawing.thinning import extremes
 from firmware_model.law.structs import FloatArray
 
 _HERE = Path(__file__).parent
@@ -127,6 +125,10 @@ def packed(of: Recording) -> dict[str, Any]:
     if of.frames is not None:
         points, data, kinds, note = of.frames
         frames = {"points": points, "data": _deflated(data), "kinds": kinds, "note": note}
+    time_s, columns = of.time_s, {curve.key: values for curve, values in of.curves}
+    if len(time_s) > MOST_POINTS:
+        time_s, drawn = on_one_axis([(time_s, values) for values in columns.values()])
+        columns = dict(zip(columns, drawn, strict=True))
     begins = [shade["begin"] for shade in of.shades]
     return {
         "curves": [asdict(curve) for curve, _ in of.curves],
@@ -138,32 +140,43 @@ def packed(of: Recording) -> dict[str, Any]:
         "height": of.height,
         "span_gaps": of.span_gaps,
         "frames": frames,
-        **_numbers(*reduced(of.time_s, {curve.key: values for curve, values in of.curves})),
+        **_numbers(time_s, columns),
     }
 
 
-def reduced(
-    time_s: FloatArray, columns: Mapping[str, FloatArray]
-) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """At most ``MOST_POINTS`` points of each column: the extremes of equal parts, in their order.
+def on_one_axis(
+    curves: Sequence[tuple[FloatArray, FloatArray]],
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Curves with times of their own at common times, without losing a peak.
 
-    The times are the times of the first tick and of the middle tick of each part.
+    The time is cut into equal parts. Each part has two times: the first has the least or the
+    greatest value of a curve in the part, the second has the other; nan without a value.
+
+    Args:
+        curves: time and values of each, (n,) ascending; n is at least one.
     """
-    ticks = -(-2 * len(time_s) // MOST_POINTS)
-    if len(time_s) <= MOST_POINTS or not columns:
-        return time_s, dict(columns)
-    found: list[FloatArray] = []
-    step = ticks * max(1, paged.BLOCK_ROWS // (ticks * (1 + len(columns))))
-    for begin in range(0, len(time_s), step):
-        rows = slice(begin, begin + step)
-        block = np.stack([time_s[rows], *(values[rows] for values in columns.values())], axis=1)
-        rest = -len(block) % ticks
-        padded = np.pad(block, ((0, rest), (0, 0)), constant_values=np.nan)
-        padded[len(block) :, 0] = block[-1, 0] + np.arange(1, rest + 1) * (time_s[1] - time_s[0])
-        found.append(extremes(padded.reshape(-1, ticks, block.shape[1])).astype(np.float64))
-        paged.let_go()
-    whole = np.concatenate(found)
-    return whole[:, 0], dict(zip(columns, whole[:, 1:].T, strict=True))
+    if not curves:
+        return np.empty(0), []
+    begin = min(float(time_s[0]) for time_s, _ in curves)
+    end = max(float(time_s[-1]) for time_s, _ in curves)
+    parts = min(MOST_POINTS // 2, sum(len(time_s) for time_s, _ in curves))
+    width = (end - begin) / parts or 1.0
+    columns = []
+    for time_s, values in curves:
+        part = np.minimum(((time_s - begin) / width).astype(np.int64), parts - 1)
+        starts = np.flatnonzero(np.diff(part, prepend=-1))
+        ends = np.append(starts[1:], len(part)) - 1
+        least, greatest = (f.reduceat(values, starts) for f in (np.fmin, np.fmax))
+        rising = values[starts] <= values[ends]
+        column = np.full((parts, 2), np.nan)
+        column[part[starts], 0] = np.where(rising, least, greatest)
+        column[part[starts], 1] = np.where(
+            starts == ends, np.nan, np.where(rising, greatest, least)
+        )
+        columns.append(column.ravel())
+    known = np.isfinite(np.stack(columns)).any(axis=0)
+    times = begin + 0.5 * width * np.arange(2 * parts)
+    return times[known], [column[known] for column in columns]
 
 
 def _numbers(time_s: FloatArray, columns: Mapping[str, FloatArray]) -> dict[str, Any]:

@@ -378,7 +378,7 @@ class Charts {
 
 // A range with room that numbers can label; uPlot's own is empty for values that hardly differ.
 function wideEnough(u, least, most) {
-  if (least === null) return [-1, 1];
+  if (least === null || (least === 0 && most === 0)) return [-1, 1];
   const half = 0.55 * Math.max(most - least, 1e-5 * Math.max(Math.abs(least), Math.abs(most)), 1e-9), middle = (least + most) / 2;
   return [middle - half, middle + half];
 }

@@ -26,19 +26,20 @@ class Scene {
     if (!setting || !canvas.clientWidth) return;
     const width = canvas.clientWidth, height = canvas.clientHeight;
     if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) [canvas.width, canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
-    const ctx = (this.ctx = canvas.getContext("2d")), margin = width > 600 ? TEXT_WIDTH : 0;
+    const ctx = (this.ctx = canvas.getContext("2d")), margin = width > 600 && height < 220 ? TEXT_WIDTH : 0;
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     ctx.clearRect(0, 0, width, height);
     ctx.font = "12px system-ui, sans-serif"; ctx.lineJoin = ctx.lineCap = "round";
     ctx.save(); ctx.beginPath(); ctx.rect(margin, 0, width - margin, height); ctx.clip(); ctx.translate(margin, 0);
+    this.middle = height * (margin ? 0.5 : 0.56); // of the lane; the words stand above or beside
     const i = this.row, now = data && data.time.length ? data.time[i] : null;
     this.broken = now === null ? [] : this.dead.filter((d) => d.begin <= now && (d.end === null || now < d.end));
     const words = now === null ? ["no motion yet"] : { car: this.car, angle: this.angle, position: this.position }[setting.kind].call(this, width - margin, height, i);
     ctx.restore();
     if (now !== null) words.unshift(`${now.toFixed(2)} s`);
-    words.push(...this.broken.map((d) => `✗ ${d.words}`));
-    words.forEach((text, row) => { ctx.fillStyle = colour(text.startsWith("✗") ? "warn" : "ink"); ctx.fillText(text, 8, 16 + 16 * row); });
-    canvas.ariaLabel = words.join(", ");
+    const lines = [...words, ...this.broken.map((d) => [`✗ ${d.words}`, "warn"])].map((each) => [each, "ink"].flat());
+    lines.forEach(([text, name], row) => { ctx.fillStyle = colour(name); ctx.fillText(text, 8, 16 + 16 * row); });
+    canvas.ariaLabel = lines.map(([text]) => text).join(", ");
   }
 
   fails(place) { return this.broken.some((d) => d.place === place); }
@@ -65,7 +66,7 @@ class Scene {
     const scale = Math.min(width / (BEHIND_M + AHEAD_M), height / 8);
     const [cx, cy, turn] = ["x", "y", "heading"].map((name) => data[lane + name][i]);
     const [cos, sin] = [Math.cos(turn), Math.sin(turn)];
-    const place = (x, y) => { const [dx, dy] = [x - cx, y - cy]; return [(width * BEHIND_M) / (BEHIND_M + AHEAD_M) + scale * (dx * cos + dy * sin), height / 2 - scale * (dy * cos - dx * sin)]; };
+    const place = (x, y) => { const [dx, dy] = [x - cx, y - cy]; return [(width * BEHIND_M) / (BEHIND_M + AHEAD_M) + scale * (dx * cos + dy * sin), this.middle - scale * (dy * cos - dx * sin)]; };
     const way = (prefix, until) => {
       const xs = data[`${prefix}x`], ys = data[`${prefix}y`], points = [];
       for (let k = i; k >= 0; k--) { const p = place(xs[k], ys[k]); points.unshift(p); if (p[0] < -50) break; }
@@ -82,11 +83,11 @@ class Scene {
     if (data.without_x) {
       this.line(way("without_", i + 1), "orange", 2, [6, 4]);
       this.body(place(data.without_x[i], data.without_y[i]), data.without_heading[i] - turn, scale, null);
-      words.push(`without compensation ${this.off(i, "without_").toFixed(2)} m off the lane's middle`);
+      words.push([`without compensation ${this.off(i, "without_").toFixed(2)} m off the lane's middle`, "orange"]);
     }
     this.line(way("", i + 1), "blue", 2.5);
     this.body(place(data.x[i], data.y[i]), data.heading[i] - turn, scale, i);
-    if (lane) words.unshift(`car ${this.off(i, "").toFixed(2)} m off the lane's middle`);
+    if (lane) words.unshift([`car ${this.off(i, "").toFixed(2)} m off the lane's middle`, "blue"]);
     words.push(`steering angle ${((180 / Math.PI) * data.steering[i]).toFixed(2)}° (drawn × ${STEERING_SHOWN})`, `rear wheels ${shown(Math.round(10 * data.applied_2[i]) / 10)} ${setting.units[2]}`);
     return words;
   }

@@ -46,7 +46,7 @@ const told = ({ name, unit, value, word }) => `${name} ${word === undefined ? (t
 class Trace {
   // `onTime` gets the time of a clicked frame.
   constructor(place, onTime) {
-    Object.assign(this, { place, onTime, at: null });
+    Object.assign(this, { place, onTime, at: null, here: -1 });
     this.filter = element("input", { type: "search", placeholder: "120 torque -status DStar>0.5 data=0f00", ariaLabel: "filter of the frames", title: "Each word must occur in bus, identifier or message; -word must not. DStar>0.5 compares a value, Mode=RUN a word, data=0f00 finds bytes." });
     this.count = element("output");
     this.body = element("tbody");
@@ -57,6 +57,10 @@ class Trace {
     place.append(element("div", { className: "bar" }, this.filter, this.count), this.scroller);
     this.filter.oninput = () => this.choose();
     this.scroller.onscroll = () => this.show();
+    this.scroller.onkeydown = (event) => {
+      const by = { ArrowUp: -1, ArrowDown: 1 }[event.key], next = by && this.chosen[this.here + by];
+      if (next) { event.preventDefault(); this.choice(this.here + by); }
+    };
     place.addEventListener("toggle", () => this.show());
     this.begin([]);
   }
@@ -82,7 +86,7 @@ class Trace {
     this.fits = (frame) => words.every((fits) => fits(frame));
     this.chosen = words.length ? this.frames.filter(this.fits) : [...this.frames];
     this.size();
-    if (this.at === null) this.show(); else this.go(this.at);
+    if (this.at === null) { this.here = -1; this.scroller.scrollTop = this.scroller.scrollHeight; this.show(); } else this.go(this.at);
   }
 
   test(word) {
@@ -106,26 +110,32 @@ class Trace {
   // Show the last frame until a time in the middle of the rows.
   go(time_s) {
     this.at = time_s;
-    this.scroller.scrollTop = (rowAt(this.chosen.length, (i) => this.chosen[i].time, time_s) + 1) * ROW_PX - this.scroller.clientHeight / 2;
+    this.look(rowAt(this.chosen.length, (i) => this.chosen[i].time, time_s));
+  }
+
+  look(row) {
+    this.here = row;
+    this.scroller.scrollTop = (row + 1) * ROW_PX - this.scroller.clientHeight / 2;
     this.show();
   }
+
+  choice(row) { this.onTime(this.chosen[row].time); this.at = this.chosen[row].time; this.look(row); }
 
   show() {
     if (!this.place.open) return;
     const { scroller, chosen } = this, first = Math.floor(scroller.scrollTop / ROW_PX), rows = Math.max(Math.floor(scroller.clientHeight / ROW_PX) - 1, 1);
-    const here = this.at === null ? null : chosen[rowAt(chosen.length, (i) => chosen[i].time, this.at)];
-    this.body.replaceChildren(...chosen.slice(first, first + rows).map((frame, i) => this.row(frame, first + i, frame === here)));
+    this.body.replaceChildren(...chosen.slice(first, first + rows).map((frame, i) => this.row(frame, first + i)));
   }
 
-  row(frame, at, isHere) {
+  row(frame, at) {
     const { bus, identifier, name } = this.kinds[frame.kind];
     let k = at - 1;
     while (k >= 0 && k > at - BEFORE && this.chosen[k].kind !== frame.kind) k--;
     const since = k >= 0 && this.chosen[k].kind === frame.kind ? (1e3 * (frame.time - this.chosen[k].time)).toFixed(3) : "";
     const values = this.values(frame).map(told).join(", ");
     const cells = [frame.time.toFixed(6), since, bus, identifier, name, hex(frame.data).join(" "), values].map((textContent) => element("td", { textContent, title: textContent }));
-    const made = element("tr", { onclick: () => this.onTime(frame.time) }, ...cells);
-    if (isHere) made.setAttribute("aria-current", "true");
+    const made = element("tr", { onclick: () => this.choice(at) }, ...cells);
+    if (at === this.here) made.setAttribute("aria-current", "true");
     return made;
   }
 }

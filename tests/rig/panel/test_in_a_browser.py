@@ -1,31 +1,18 @@
 """The panel as a person has it: in a browser, with a mouse."""
 
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import expect, sync_playwright
+from playwright.sync_api import expect
 
 from can_rig.logs.reading import read_log
+from tests.browser import barriers
 from tests.processes import start
 
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
 PATIENCE_MS = 90_000  # a busy machine compiles
-
-
-@pytest.fixture
-def page():
-    if BROWSER is None:
-        pytest.skip("NOT TESTED: there is no chromium here (apt-get install chromium)")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        opened = browser.new_page(viewport={"width": 1280, "height": 800})
-        opened.set_default_timeout(PATIENCE_MS)
-        yield opened
-        browser.close()
 
 
 def panel(*arguments: str) -> tuple[subprocess.Popen, list[str]]:
@@ -43,7 +30,6 @@ def panel(*arguments: str) -> tuple[subprocess.Popen, list[str]]:
 def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page, tmp_path):
     process, (touch, _look) = panel("ideal", "--set", "fault.kind=none", "--set", "duration_s=60")
     errors = []
-    page.on("pageerror", lambda error: errors.append(str(error)))
     page.on("console", lambda message: message.type == "error" and errors.append(message.text))
     page.goto(touch)
     page.click("#start")
@@ -111,10 +97,6 @@ def test_who_may_look_only_finds_the_buttons_off(page):
 ENABLED = "document.querySelectorAll('[data-order]:enabled').length"
 HIGHER = "document.documentElement.scrollHeight - innerHeight"
 WIDER = "document.documentElement.scrollWidth - innerWidth"
-INVISIBLE = """[...document.querySelectorAll('button:enabled')].filter((b) => {
-  const style = getComputedStyle(b); return style.color === style.backgroundColor; }).length"""
-NAMELESS = """[...document.querySelectorAll('button, select, input, figure')].filter((e) =>
-  !(e.textContent.trim() || e.ariaLabel || (e.labels && e.labels.length))).map((e) => e.id)"""
 
 
 @pytest.mark.timeout(300)
@@ -129,8 +111,7 @@ def test_each_state_is_said_and_what_has_no_effect_is_disabled(page, colours):
     def state(name: str, says: str) -> None:
         expect(page.locator("body")).to_have_attribute("data-state", name, timeout=PATIENCE_MS)
         expect(page.locator("#state")).to_contain_text(says)
-        assert page.evaluate(NAMELESS) == []
-        assert page.evaluate(INVISIBLE) == 0
+        assert barriers(page) == []
         for width, height in ((390, 844), (1280, 800)):
             page.set_viewport_size({"width": width, "height": height})
             assert page.evaluate(WIDER) <= 0

@@ -2,18 +2,17 @@
 
 import json
 import re
-import shutil
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from playwright.sync_api import expect, sync_playwright
+from playwright.sync_api import expect
 
-from can_rig.views.bench_page import on_one_axis
+from can_rig.drawing.bench import on_one_axis
+from tests.browser import barriers
 from tests.helpers import asked
 
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
 TIME_S = st.integers(0, 9000).map(lambda ms: ms / 1000)
 CURVE = st.lists(st.tuples(TIME_S, st.floats(-1e6, 1e6)), min_size=1, max_size=60)
 
@@ -77,31 +76,30 @@ def test_an_existing_page_stays(folder):
 
 
 @pytest.mark.timeout(120)
-def test_in_a_browser_charts_are_added_and_zoom_together_and_an_event_is_found(folder):
-    if BROWSER is None:
-        pytest.skip("NOT TESTED: there is no chromium here (apt-get install chromium)")
-    asked("view", folder / "run", "--out", folder / "page.html")
-    errors = []
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        page.goto((folder / "page.html").as_uri())
-        page.wait_for_selector("body[data-drawn]")
-        before = page.locator(".chart").count()
-        page.click("#list button:has-text('yaw rate')")
-        expect(page.locator(".chart")).to_have_count(before + 1)
-        page.click(".chart:last-child button:has-text('×')")
-        expect(page.locator(".chart")).to_have_count(before)
-        page.click("#marks button:has-text('fault begins')")
-        expect(page.locator("#bar output")).to_contain_text("values at 0.500 s")
-        expect(page.locator("#scene")).to_have_attribute("aria-label", re.compile("torque lost"))
-        page.focus(".chart >> nth=0")
-        page.keyboard.press("ArrowRight")
-        expect(page.locator("#bar output")).to_contain_text("after the mark")
-        page.select_option("#play select", "10")
-        page.click("#play button")
-        expect(page.locator("#play button")).to_have_text("Play", timeout=20_000)  # at its end
-        expect(page.locator("#scene")).to_have_attribute("aria-label", re.compile("^1.4"))
-        browser.close()
-    assert errors == []
+@pytest.mark.parametrize("colours", ["light", "dark"])
+def test_in_a_browser_charts_are_added_and_zoom_together_and_an_event_is_found(
+    page, folder, colours
+):
+    asked("view", folder / "run", "--out", folder / "page.html", "--force")
+    page.emulate_media(color_scheme=colours)
+    page.goto((folder / "page.html").as_uri())
+    page.wait_for_selector("body[data-drawn]")
+    before = page.locator(".chart").count()
+    page.click("#list button:has-text('yaw rate')")
+    expect(page.locator(".chart")).to_have_count(before + 1)
+    page.click(".chart:last-child button:has-text('×')")
+    expect(page.locator(".chart")).to_have_count(before)
+    page.click("#marks button:has-text('fault begins')")
+    expect(page.locator("#bar output")).to_contain_text("values at 0.500 s")
+    expect(page.locator("#scene")).to_have_attribute("aria-label", re.compile("torque lost"))
+    page.focus(".chart >> nth=0")
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#bar output")).to_contain_text("after the mark")
+    assert barriers(page) == []
+    page.select_option("#play select", "10")
+    page.click("#play button")
+    expect(page.locator("#play button")).to_have_text("Play", timeout=20_000)  # at its end
+    expect(page.locator("#scene")).to_have_attribute("aria-label", re.compile("^1.4"))
+    page.goto((folder / "run" / "report.html").as_uri())
+    page.wait_for_selector("body[data-drawn]")
+    assert barriers(page) == []

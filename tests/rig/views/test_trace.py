@@ -1,18 +1,17 @@
 """Frames on a page: the bytes of the log, and the values that cantools finds in the bytes."""
 
 import math
-import shutil
 from pathlib import Path
 
 import can
 import cantools
 import numpy as np
 import pytest
-from playwright.sync_api import expect, sync_playwright
+from playwright.sync_api import expect
 
+from tests.browser import barriers
 from tests.helpers import asked
 
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
 DATABASE = """VERSION ""
 NS_ :
 BS_:
@@ -45,26 +44,6 @@ VALUES = """(async () => {
     values: values(f).map(({ name, value, word }) => [name, String(value), word]),
   }));
 })()"""
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if BROWSER is None:
-        pytest.skip("NOT TESTED: there is no chromium here (apt-get install chromium)")
-    with sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        yield opened
-        opened.close()
-
-
-@pytest.fixture
-def page(browser):
-    errors = []
-    opened = browser.new_page(viewport={"width": 1280, "height": 800})
-    opened.on("pageerror", lambda error: errors.append(str(error)))
-    yield opened
-    opened.close()
-    assert errors == []
 
 
 @pytest.fixture
@@ -154,7 +133,12 @@ def test_a_filter_finds_messages_values_words_and_bytes(page, log, tmp_path):
     page.fill("#trace input", "intel")
     page.click(".frames tbody tr >> nth=2")
     seconds = f"{intel[2].timestamp - 1000.0:.3f} s"
-    expect(page.locator(".frames tr[aria-current] td").first).to_have_text(seconds[:-2] + "000")
+    current = page.locator(".frames tr[aria-current] td").first
+    expect(current).to_have_text(seconds[:-2] + "000")
+    assert barriers(page) == []
+    page.focus(".frames")
+    page.keyboard.press("ArrowDown")
+    expect(current).to_have_text(f"{intel[3].timestamp - 1000.0:.6f}")
 
 
 def test_frames_beyond_the_most_are_said_to_be_missing(page, log, tmp_path, monkeypatch):
