@@ -30,7 +30,10 @@ CHANGE_SPEED: Final = "change_speed"
 
 BLENDS: Final = "blends"
 HEARS: Final = "hears"
-"""Parts of handwritten files: for designs blended by the speed, for a node that hears a speed."""
+NODE: Final = "node"
+SINGLE: Final = "single"
+"""Parts of handwritten files: for designs blended by the speed, for a node that hears a speed, for
+a whole node, for single precision."""
 
 
 def support(name: str, parts: Collection[str] = (), **values: str) -> str:
@@ -58,7 +61,8 @@ def support(name: str, parts: Collection[str] = (), **values: str) -> str:
 
 def parts_of(law: Collection[str]) -> set[str]:
     """Parts of handwritten files that go with the files of a law."""
-    return {BLENDS} if "schedule.c" in law else set()
+    parts = {"schedule.c": BLENDS, "ecu.c": NODE}
+    return {part for name, part in parts.items() if name in law}
 
 
 def numbers_of(precision: Precision) -> dict[str, str]:

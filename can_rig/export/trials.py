@@ -24,6 +24,7 @@ from can_rig.export.boards import (
     COUNT,
     LONGEST_S,
     RESTART,
+    SURVIVE,
     frame_order,
     time_order,
 )
@@ -93,7 +94,7 @@ def as_orders(network: Network, seeds: range, tick_us: int) -> bytes:
     orders = []
     for seed in seeds:
         choose, at_us = random.Random(seed), 2**32 - NODE_TICKS // 2 * tick_us
-        orders.append(RESTART)
+        orders.append(SURVIVE if seed % 2 else RESTART)
         for frames in random_frames(network, seed):
             late_us = choose.choice([0, choose.randrange(-tick_us // 20, tick_us // 20)])
             orders.append(time_order(at_us + late_us))
