@@ -10,6 +10,7 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 
 from firmware_model.law import controller, schedule
+from firmware_model.law.fault_decision import echoes
 from firmware_model.law.fault_decision.hypotheses import verdict
 from firmware_model.law.fault_decision.lost_commands import act_first
 from firmware_model.law.filters import biquad
@@ -36,6 +37,9 @@ Step = Callable[[float, float], tuple[float, float, float, int, int, int]]
 Memories = tuple[RecordArray, RecordArray, RecordArray, RecordArray]
 """Constants and state of ``schedule``, table and state of ``controller``, each in an array."""
 
+Hear = Callable[[float, float, float], None]
+"""Takes channel, echo and age in ticks; see ``echoes.hear``."""
+
 ChangeSpeed = Callable[[float], None]
 
 CRC_BYTES: Final = 4
@@ -50,6 +54,9 @@ class Law(Protocol):
 
     def step_of(self, tables: RecordArray, states: RecordArray) -> Step:
         """Run ``controller.step`` on the first table and the first state of the arrays."""
+
+    def hear_of(self, tables: RecordArray, states: RecordArray) -> Hear:
+        """``echoes.hear`` for the first table and the first state of the arrays."""
 
     def reset(self, table: Table, state: State, reference: float) -> None:
         """See ``controller.reset``."""
@@ -68,6 +75,10 @@ class PythonLaw:
     def step_of(self, tables: RecordArray, states: RecordArray) -> Step:
         """See ``Law``."""
         return partial(controller.step_first, tables, states)
+
+    def hear_of(self, tables: RecordArray, states: RecordArray) -> Hear:
+        """See ``Law``."""
+        return partial(echoes.hear_first, tables, states)
 
     def reset(self, table: Table, state: State, reference: float) -> None:
         """See ``Law``."""
@@ -114,6 +125,7 @@ class Firmware:
         self._states = law.init(self._tables[0])
         self._first = self._states.view(np.uint8).copy()
         self._step = law.step_of(self._tables, self._states)
+        self._hear = law.hear_of(self._tables, self._states)
         self._motions = np.zeros(1, record_type(biquad.State, precision_of(table)))
         self._fingerprint = fingerprint(table, speeds)
         self._change_speed: ChangeSpeed | None = None
@@ -130,6 +142,10 @@ class Firmware:
         return Answer(
             float(command_1), float(command_2), float(estimate), mode, fault_state, verdict
         )
+
+    def hear(self, channel: int, echo: float, age_ticks: float = 0.0) -> None:
+        """Before the ``step`` of a tick: what an actuator reports; see ``echoes.hear``."""
+        self._hear(channel, echo, age_ticks)
 
     def begin(self, at_rest: bool = False) -> None:
         """Start as after power-up: a plant that moves is taken over; see ``law.takeover``.
@@ -202,6 +218,12 @@ class Firmware:
         """What ``hypotheses`` makes of d̂, now and after any further ``step``; read only."""
         hypotheses: verdict.State = self._states[0]["hypotheses"]
         return hypotheses
+
+    @property
+    def echo_errors(self) -> tuple[float, float]:
+        """Modelled less reported output of both actuators; 0 without an echo; see ``echoes``."""
+        heard = self._states[0].echoes
+        return float(heard.channel_1.error), float(heard.channel_2.error)
 
     @property
     def commands(self) -> tuple[float, float]:

@@ -100,18 +100,21 @@ def _costs(scenario: Scenario) -> None:
         return
     counted = shutil.which(EMULATOR) is not None
     inputs = controller_inputs(scenario) if counted else None
-    headings = ("median", "worst", "in tick") if counted else ()
+    headings = ("median", "worst", "in tick", "node") if counted else ()
     figures = table("", "code", "constants", "state", "stack", *headings)
     for board, precision in VARIANTS:
         each = cost(scenario, board, precision, inputs)
         numbers = (each.code_bytes, each.constant_bytes, each.state_bytes, each.stack_bytes)
-        ticks = (each.median, each.worst, each.worst_tick) if counted else ()
+        ticks = (each.median, each.worst, each.worst_tick, each.node_median) if counted else ()
         figures.add_row(
             f"{each.board}, {each.precision}", *(f"{number:.0f}" for number in (*numbers, *ticks))
         )
     show(figures)
     if counted:
-        explain("Bytes, and instructions a tick, in the run of this scenario on QEMU.")
+        explain(
+            "Bytes, and instructions a tick of the law, in the run of this scenario on QEMU; node: "
+            "median with frames and their protection."
+        )
     else:
         say("Bytes.", f"instructions a tick: {NOT_INSTALLED} ({EMULATOR})")
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from can_rig.errors import ExportError
 from can_rig.export.compiler import loaded, shared_library
-from can_rig.export.law import CHANGE_SPEED, ENTRIES, law_files
-from firmware_model.firmware import ChangeSpeed, Memories, Step
+from can_rig.export.law import CHANGE_SPEED, ENTRIES, HEAR, law_files
+from firmware_model.firmware import ChangeSpeed, Hear, Memories, Step
 from firmware_model.law.layout import State, Table, precision_of, state_type
 from firmware_model.law.structs import Precision, RecordArray, Struct
 
@@ -49,6 +49,7 @@ class CompiledLaw:
             function(f"controller_{name}", 2, inputs)
             for name, inputs in zip(ENTRIES, (0, 2, 1), strict=True)
         )
+        self._hear = function(f"echoes_{HEAR}", 2, 3)
         if changes_speed:
             self._change_speed = function(f"schedule_{CHANGE_SPEED}", 4, 1)
 
@@ -85,6 +86,10 @@ class CompiledLaw:
             )
 
         return stepped
+
+    def hear_of(self, tables: RecordArray, states: RecordArray) -> Hear:
+        """``echoes.hear``, bound to the table and the state."""
+        return partial(self._hear, _address(tables), _address(states))
 
     def reset(self, table: Table, state: State, reference: float) -> None:
         """As ``controller.reset``."""

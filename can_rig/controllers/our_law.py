@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from can_rig.controllers.protocol import Answer, InNode, Inputs, NodeController
+from can_rig.controllers.protocol import Answer, InNode, Inputs, NodeController, echoes_in
 from can_rig.frames.network import Network
 from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
@@ -35,9 +35,11 @@ class OurLaw:
 
     def step(self, inputs: Inputs) -> Answer:
         """See ``Controller``."""
-        reference, measurement, speed, _ = inputs
+        reference, measurement, speed, heard = inputs
         if not math.isnan(speed):
             self.firmware.change_speed(speed)
+        for echo in echoes_in(heard):
+            self.firmware.hear(*echo)
         return Answer(*self.firmware.step(reference, measurement))
 
     def act(self, command_1: float, command_2: float) -> None:

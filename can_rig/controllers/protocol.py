@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
 
-from can_rig.frames.codec import NO_DECISION, NO_VERDICT, USABLE, CheckStatus
+from can_rig.frames.codec import AGE, NO_DECISION, NO_VERDICT, USABLE, CheckStatus
 from can_rig.frames.network import Network
+from can_rig.scenario.sensor_settings import ECHOES, USUAL
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState, Mode
 
@@ -22,6 +23,7 @@ LISTEN_S: Final = 0.05
 
 RUN, CANNOT_TELL = int(Mode.RUN), int(FaultState.CANNOT_TELL)
 
+ECHO_COLUMNS: Final = tuple(USUAL[echo].column for echo in ECHOES)
 NO_WITNESSES: Final[Mapping[str, float]] = MappingProxyType({})
 
 
@@ -36,6 +38,15 @@ class Inputs(NamedTuple):
     """The speed of the car, where the scenario has a drive."""
     witnesses: Mapping[str, float] = NO_WITNESSES
     """Further sensors by the names of their columns, as in ``yaw_rate_rad_per_s``."""
+
+
+def echoes_in(heard: Mapping[str, float]) -> list[tuple[int, float, float]]:
+    """Channel, value and age in ticks of each actuator's echo among the witnesses of a tick."""
+    return [
+        (channel, value, age if (age := heard[name + AGE]) == age else 0.0)
+        for channel, name in enumerate(ECHO_COLUMNS, 1)
+        if not math.isnan(value := heard.get(name, math.nan))
+    ]
 
 
 class Answer(NamedTuple):

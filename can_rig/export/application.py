@@ -6,13 +6,14 @@ import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Final
 
 from can_rig.drawing.names import Signal, names_of
 from can_rig.errors import ExportError
 from can_rig.export.c_files import comment, constants_files, plain
-from can_rig.export.law import HEARS, law_files, numbers_of, parts_of, support
+from can_rig.export.law import HEARS, SINGLE, law_files, numbers_of, parts_of, support
 from can_rig.export.prefix import with_prefix
 from can_rig.export.provenance import with_provenance
 from can_rig.export.self_test import DATA, self_test_data
@@ -56,6 +57,7 @@ def application(scenario: Scenario) -> dict[str, str]:
     title = f"The constants of the controller of scenario {scenario.name}."
     law = law_files(precision, of.schedule is not None)
     parts = {*parts_of(law), *((HEARS,) if network.speed else ())}
+    parts |= {SINGLE} if precision == "float32" else set()
     header = support(
         HEADER,
         parts,
@@ -157,7 +159,7 @@ def _network_source(network: Network, scenario: Scenario) -> str:
             "id": f"0x{codec.frame_id:X}",
             "data_id": f"0x{codec.data_id:X}",
             "lsb": repr(codec.lsb),
-            "raw_minimum": str(codec.raw_minimum),
+            "steps_per_unit": f"{_steps_per_unit(codec)}u",
             "raw_maximum": str(codec.raw_maximum),
         }
         if codec.modes and isinstance(codec.layout, RigLayout):
@@ -168,6 +170,14 @@ def _network_source(network: Network, scenario: Scenario) -> str:
         lines += [f"    .{name} = {value}," for name, value in numbers.items()]
         lines.append("};")
     return "\n".join(lines) + "\n"
+
+
+def _steps_per_unit(codec: MessageCodec) -> int:
+    """1/lsb, which frames of a DBC of the rig have as a whole number, with a range around zero."""
+    steps = 1 / Fraction(repr(codec.lsb))
+    assert steps.denominator == 1 and steps < 1 << 27 and codec.raw_maximum < 2**23 * steps
+    assert codec.raw_minimum == -codec.raw_maximum
+    return int(steps)
 
 
 def _signal(codec: MessageCodec, signal: Signal | None = None, limit: float | None = None) -> str:

@@ -21,7 +21,7 @@ import numpy as np
 from can_rig.export.application import application, in_precision
 from can_rig.export.boards import BOARDS, COMPILER, FLAGS, emulated, image_of
 from can_rig.export.compiler import placed, run
-from can_rig.export.law import CHANGE_SPEED, law_program, parts_of, speed_program
+from can_rig.export.law import CHANGE_SPEED, law_program, speed_program
 from can_rig.export.subset import Program
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import FloatArray, Precision
@@ -52,12 +52,20 @@ class Cost:
     stack_bytes: int
     counts: FloatArray | None
     """Instructions of each tick, shape (ticks,); None: not counted."""
+    node_counts: FloatArray | None
+    """Likewise of the whole node, from frames to frames."""
 
     @property
     def median(self) -> float:
         """Instructions a tick."""
         assert self.counts is not None
         return float(np.median(self.counts))
+
+    @property
+    def node_median(self) -> float:
+        """Instructions of the whole node a tick."""
+        assert self.node_counts is not None
+        return float(np.median(self.node_counts))
 
     @property
     def worst(self) -> float:
@@ -88,12 +96,14 @@ def cost(scenario: Scenario, board: str, precision: Precision, inputs: FloatArra
     files = application(in_precision(scenario, precision))
     law = {name: text for name, text in files.items() if name not in NO_LAW}
     law["constants.c"] = files["constants.c"]
-    counts = None if inputs is None else instructions(law, board, inputs)
-    return Cost(board, precision, *sizes(law, board), counts)
+    counts, of_node = (
+        None if inputs is None else instructions(each, board, inputs) for each in (law, files)
+    )
+    return Cost(board, precision, *sizes(law, board), counts, of_node)
 
 
 def instructions(files: Mapping[str, str], board: str, inputs: FloatArray) -> FloatArray:
-    """How many each tick takes, shape (ticks,).
+    """How many each tick takes, shape (ticks,): of the law, or of the node in ``files``.
 
     Raises:
         ExportError: a tool is missing, or refuses.
@@ -115,7 +125,7 @@ def sizes(files: Mapping[str, str], board: str) -> tuple[int, int, int, int]:
     Raises:
         ExportError: a tool is missing, or refuses.
     """
-    memory = "firmware_memory" if parts_of(files) else "layout_state"
+    memory = "firmware_memory" if "schedule.c" in files else "layout_state"
     kept = f'#include "firmware.h"\nstruct {memory} kept;\n'
     flags = [*FLAGS, *BOARDS[board].flags, "-fstack-usage", "-c"]
     with tempfile.TemporaryDirectory(prefix="can-rig-") as place:

@@ -24,6 +24,7 @@ from can_rig.export.boards import (
     COUNT,
     LONGEST_S,
     RESTART,
+    SURVIVE,
     frame_order,
     time_order,
 )
@@ -31,6 +32,7 @@ from can_rig.export.law import parts_of, support
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.network import Network
 from firmware_model.firmware import PYTHON_LAW, Law
+from firmware_model.law.fault_decision.echoes import KEPT_TICKS
 from firmware_model.law.filters.whitener import WHITENER_SECTIONS
 from firmware_model.law.layout import precision_of, state_type, table_type
 from firmware_model.law.monitor import COMPENSATION_OFF, SWINGING
@@ -92,7 +94,7 @@ def as_orders(network: Network, seeds: range, tick_us: int) -> bytes:
     orders = []
     for seed in seeds:
         choose, at_us = random.Random(seed), 2**32 - NODE_TICKS // 2 * tick_us
-        orders.append(RESTART)
+        orders.append(SURVIVE if seed % 2 else RESTART)
         for frames in random_frames(network, seed):
             late_us = choose.choice([0, choose.randrange(-tick_us // 20, tick_us // 20)])
             orders.append(time_order(at_us + late_us))
@@ -220,6 +222,13 @@ def random_table(
     takeover = table.takeover
     takeover.enabled = random.integers(0, 2)
     takeover.listening, takeover.returning, takeover.lasting = np.sort(random.integers(1, 30, 3))
+    echoes = table.echoes
+    echoes.longest, echoes.working = random.choice([0, 1, 5, 100]), random.integers(1, 5)
+    for actuator, dead_ticks in (
+        (echoes.actuator_1, estimator.dead_ticks_1), (echoes.actuator_2, estimator.dead_ticks_2)
+    ):  # fmt: skip
+        actuator.stage.n = 1
+        actuator.dead_ticks = random.integers(0, dead_ticks + 1)
     monitor = table.monitor
     monitor.enabled = random.random() < 0.4
     monitor.most_swings, monitor.patience = random.integers(1, 4, 2)
@@ -253,6 +262,9 @@ def random_state(
     if random.random() < 0.3:
         state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
     state.mode, state.fault_state = random.integers(0, 4, 2)
+    state.echoes.index = random.integers(0, KEPT_TICKS)
+    for echo in (state.echoes.channel_1, state.echoes.channel_2):
+        echo.left, echo.believed, echo.good = random.integers(0, 2, 3) * [9, 1, 4]
     state.hypotheses.verdict = random.integers(0, len(Verdict))
     state.monitor.reason = random.choice([0, 0, 0, 0, COMPENSATION_OFF, SWINGING])
     state.takeover.pending, state.takeover.active = random.integers(0, 3), random.integers(0, 2)
@@ -317,12 +329,14 @@ class Trial:
         states: the state before the first tick, shape (1,).
         inputs: reference and measurement of each tick, shape (ticks, 2); the tick in the middle is
             a reset to its reference.
+        echoes: channel, value and age of an echo before each tick, shape (ticks, 3).
         drive: blends the table before each tick; None: no blending.
     """
 
     tables: RecordArray
     states: RecordArray
     inputs: FloatArray
+    echoes: FloatArray
     drive: Drive | None = None
 
     @property
@@ -356,7 +370,10 @@ def random_trials(
         states = random_state(random, tables[0], precision, even)
         inputs = reals(random, (ticks, 2), precision, even)
         drive = random_drive(random, precision, ticks, even) if blends else None
-        trials.append(Trial(tables, states, inputs, drive))
+        echoes = reals(random, (ticks, 3), precision, even)
+        echoes[:, 0] = random.choice([1.0, 1.0, 2.0, 2.0, 0.0], ticks)
+        echoes[:, 2] = random.choice([*range(KEPT_TICKS + 1), -1.0, np.nan], ticks)
+        trials.append(Trial(tables, states, inputs, echoes, drive))
     return trials
 
 
@@ -371,6 +388,7 @@ def encoded(trials: list[Trial]) -> bytes:
         for k, inputs in enumerate(trial.inputs):
             if drive is not None:
                 orders.append(b"V" + drive.speeds[k].tobytes())
+            orders.append(b"E" + trial.echoes[k].tobytes())
             is_reset = k == len(trial.inputs) // 2
             orders.append(b"Z" + inputs[:1].tobytes() if is_reset else b"S" + inputs.tobytes())
         orders.append(b"I")
@@ -386,11 +404,12 @@ def states_of(law: Law, trials: list[Trial]) -> Iterator[bytes]:
             schedules, blendings = trial.drive.schedules, copied(trial.drive.blendings)
             kept += [tables, blendings]
             change_speed = law.change_speed_of((schedules, blendings, tables, states))
-        step = law.step_of(tables, states)
+        step, hear = law.step_of(tables, states), law.hear_of(tables, states)
         for k, (reference, measurement) in enumerate(trial.inputs.astype(float)):
             if change_speed is not None and trial.drive is not None:
                 change_speed(float(trial.drive.speeds[k]))
                 yield b"".join(each.tobytes() for each in kept)
+            hear(*trial.echoes[k].astype(float).tolist())
             if k == len(trial.inputs) // 2:
                 law.reset(tables[0], states[0], reference)
             else:

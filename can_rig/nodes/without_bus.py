@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig import paged
-from can_rig.frames.codec import FRAME_BYTES
+from can_rig.controllers.protocol import ECHO_COLUMNS
+from can_rig.frames.codec import AGE, FRAME_BYTES
 from can_rig.frames.frame_columns import UInt8s, payloads
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import OnTick, StopRequest
@@ -25,7 +26,7 @@ from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.frame_faults import delivery
 from can_rig.plant.frameless import carried
 from can_rig.plant.in_windows import LoopInWindows
-from can_rig.plant.witnesses import Sensed
+from can_rig.plant.witnesses import Sensed, hearing_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.fault_settings import Outage
 from can_rig.scenario.settings import Scenario
@@ -79,6 +80,10 @@ class RunWithoutBus:
         self._frames: dict[str, FloatArray] = {}
         self._plant: dict[str, FloatArray] = {}
         self._said: dict[str, FloatArray] = {}
+        self._echo_ages: dict[str, FloatArray] = {}
+        self._hearing = hearing_of(scenario, self._network)
+        self._names = [each.usual.column for each in scenario.sensors]
+        self._ages = [name + AGE for name in self._names if name in ECHO_COLUMNS]
         self._run = LoopInWindows(
             scenario,
             self._network,
@@ -111,11 +116,11 @@ class RunWithoutBus:
     def columns(self) -> RunColumns:
         """What the run carried."""
         done = slice(self.ticks)
-        frames, plant, sensors = (
+        frames, plant, *sensors = (
             {name: column[done] for name, column in columns.items()}
-            for columns in (self._frames, self._plant, self._said)
+            for columns in (self._frames, self._plant, self._said, self._echo_ages)
         )
-        return RunColumns(frames, None if self._linear is None else plant, sensors)
+        return RunColumns(frames, None if self._linear is None else plant, *sensors)
 
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""
@@ -184,17 +189,18 @@ class RunWithoutBus:
         codecs = self._network.witnesses
         places = {codec.frame_id: at for at, codec in enumerate(codecs)}
         shape = len(ticks), len(codecs)
-        heard, sent = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)
+        sent = np.zeros(shape, dtype=np.bool_)
         frames = np.zeros((*shape, FRAME_BYTES), dtype=np.uint8)
-        for tick, messages in enumerate(list(self._sensed.sent)[-len(ticks) :]):
+        heard = []
+        for row, messages in enumerate(list(self._sensed.sent)[-len(ticks) :]):
             for message in messages:
                 at = places[message.arbitration_id]
-                frames[tick, at], sent[tick, at] = list(message.data), True
-                record = codecs[at].decode(message.data)
-                if record.mode:
-                    heard[tick, at] = record.value
-        names = [each.usual.column for each in self._scenario.sensors]
-        self._keep(self._said, ticks, dict(zip(names, heard.T, strict=True)))
+                frames[row, at], sent[row, at] = list(message.data), True
+                self._hearing.take(message, ticks[row])
+            heard.append(self._hearing.end_tick(ticks[row]))
+        for names, columns in ((self._names, self._said), (self._ages, self._echo_ages)):
+            said = {name: np.array([each[name] for each in heard]) for name in names}
+            self._keep(columns, ticks, said)
         return list(frames.swapaxes(0, 1)), sent
 
     def _keep(

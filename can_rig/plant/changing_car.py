@@ -62,14 +62,14 @@ def plant_of(scenario: Scenario) -> PlantBehind:
 def linear_plant(scenario: Scenario) -> SampledPlant | None:
     """The linear plant from tick to tick; None for a plant class, a drive and disturbances.
 
-    None also for sensors that a controller of one's own hears.
+    None also for sensors that the controller hears.
 
     Raises:
         ScenarioError: a car that is not stable.
     """
     if scenario.plant.is_own or scenario.drive.is_given or scenario.disturbances:
         return None
-    if scenario.sensors and not scenario.controller.is_ours:
+    if scenario.hears_actuators or (scenario.sensors and not scenario.controller.is_ours):
         return None
     return sampled_plant(scenario.plant, scenario.tick_s, scenario.sensors)
 

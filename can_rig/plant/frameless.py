@@ -225,7 +225,8 @@ def simulation(
     at_rest: RecordArray | None = None,
 ) -> Simulation:
     """``scenario`` without a bus, at rest; for the arguments see ``frameless``, ``Simulation``."""
-    if of is None and network.witnesses and not isinstance(plant, Sensed):
+    hears = scenario.hears_actuators if of is not None else bool(network.witnesses)
+    if hears and not isinstance(plant, Sensed):
         assert not isinstance(plant, SampledPlant)
         plant = Sensed(scenario, network, plant)
     return Simulation(
@@ -248,6 +249,7 @@ def simulation(
         ),
         keeps_states=keeps_states,
         at_rest=powered_up(of) if at_rest is None and of is not None else at_rest,
+        hears=plant if of is not None and hears and isinstance(plant, Sensed) else None,
         restarts=[(each.start, each.stop, each.state_survives) for each in scenario.outages],
     )
 

@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from can import Message
 
+from can_rig.controllers.protocol import echoes_in
 from can_rig.frames.codec import Hearing, MessageCodec, Transmitter
 from can_rig.frames.network import Network
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
@@ -235,6 +236,10 @@ class Sensed:
         said = self._senses.take(self._tick, self._plant.witnesses, told)
         self.sent.append(self._frames.of(said, self._tick))
         self._tick += 1
+
+    def echoes(self) -> list[tuple[int, float, float]]:
+        """See ``Hears``."""
+        return echoes_in(self.heard())
 
     def heard(self) -> Mapping[str, float]:
         """What a controller hears at this tick, once; see ``Hearing``."""

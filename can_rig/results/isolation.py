@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final
@@ -10,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from can_rig import paged
+from can_rig.controllers.protocol import echoes_in
 from can_rig.drawing.names import Names, names_of
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
@@ -45,7 +47,13 @@ class Reasoning:
         self.confirm: Final = float(of.table.decision.confirm)
         """The evidence that confirms a loss."""
 
-    def take(self, tick: int, reference: float, measured: float) -> tuple[int, FloatArray]:
+    def take(
+        self,
+        tick: int,
+        reference: float,
+        measured: float,
+        echoes: Iterable[tuple[int, float, float]] = (),
+    ) -> tuple[int, FloatArray]:
         """The verdict of this tick, and the evidence of each hypothesis in the order ``EVIDENCE``.
 
         In a tick without inputs the law waits. A controller without power has no verdict.
@@ -56,6 +64,8 @@ class Reasoning:
             self._firmware = self._made()
         if self._speeds is not None:
             self._firmware.change_speed(self._speeds[min(tick, len(self._speeds) - 1)])
+        for echo in echoes:
+            self._firmware.hear(*echo)
         self._firmware.step(reference, measured)
         hypotheses = self._firmware.hypotheses
         return int(hypotheses["verdict"]), hypotheses["evidence"][1:]
@@ -91,12 +101,14 @@ def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Sign
         return _as_said(signals)
     reasoning = Reasoning(scenario, network)
     columns = {name: paged.empty(len(signals)) for name in (VERDICT, *EVIDENCE)}
+    told = [*signals.sensors.items(), *signals.echo_ages.items()]
     for rows in paged.blocks(len(signals)):
         ticks = np.rint(signals.time_s[rows] / scenario.tick_s).astype(np.int64).tolist()
         verdicts, evidence = np.zeros(len(ticks)), np.zeros((len(ticks), len(EVIDENCE)))
         inputs = signals.reference_mps2[rows].tolist(), signals.dstar_mps2[rows].tolist()
         for row, (tick, reference, measured) in enumerate(zip(ticks, *inputs, strict=True)):
-            verdicts[row], evidence[row] = reasoning.take(tick, reference, measured)
+            echoes = echoes_in({name: column.item(rows.start + row) for name, column in told})
+            verdicts[row], evidence[row] = reasoning.take(tick, reference, measured, echoes)
         said = np.clip(np.nan_to_num(evidence, nan=0.0), -CERTAIN, CERTAIN)
         for name, values in zip(EVIDENCE, np.round(said, DECIMALS).T + 0.0, strict=True):
             columns[name][rows] = values

@@ -12,8 +12,17 @@ import numpy as np
 from can import Message
 
 from can_rig import paged
+from can_rig.controllers.protocol import ECHO_COLUMNS
 from can_rig.drawing.names import column_names
-from can_rig.frames.codec import NO_DECISION, WIRE_TICKS, Hearing, Receiver, tick_at, ticks_ahead
+from can_rig.frames.codec import (
+    AGE,
+    NO_DECISION,
+    WIRE_TICKS,
+    Hearing,
+    Receiver,
+    tick_at,
+    ticks_ahead,
+)
 from can_rig.frames.network import Network
 from can_rig.logs.columns import ON_THE_BUS
 from can_rig.logs.frames import ERROR, REMOTE
@@ -57,6 +66,8 @@ class Signals:
     """What the further sensors say, by column."""
     whose_fault: PlantSignals = field(default_factory=dict)
     """The verdict on the fault, and the evidence; see ``results.isolation``."""
+    echo_ages: PlantSignals = field(default_factory=dict)
+    """Ticks since the sample of each actuator's echo, by column."""
 
     @property
     def error_mps2(self) -> FloatArray:
@@ -75,6 +86,7 @@ class Signals:
             verdict=None if self.verdict is None else self.verdict[rows],
             plant={name: column[rows] for name, column in self.plant.items()},
             sensors={name: column[rows] for name, column in self.sensors.items()},
+            echo_ages={name: column[rows] for name, column in self.echo_ages.items()},
             whose_fault={name: column[rows] for name, column in self.whose_fault.items()},
         )
 
@@ -136,7 +148,9 @@ def signals_of_columns(columns: RunColumns, tick_s: float, log: Path) -> Signals
     """
     ticks = len(columns.frames["mode"]) if columns.frames else 0
     frames: Any = columns.frames
-    signals = Signals(time_s=times_s(0, ticks, tick_s), **frames, sensors=columns.sensors)
+    signals = Signals(
+        times_s(0, ticks, tick_s), **frames, sensors=columns.sensors, echo_ages=columns.echo_ages
+    )
     if columns.plant is None:
         return with_plant_signals(signals, log, tick_s)
     return replace(signals, plant=columns.plant)
@@ -172,7 +186,7 @@ def signals_of(
 ) -> Signals:
     """Signals of frames in order, time stamps in s; see ``read_signals``."""
     table = SignalRows(network, tick_s, in_time_ticks)
-    width, first_tick = ROLE_COLUMNS + CODES + len(table.sensors), None
+    width, first_tick = table.width, None
     with paged.rows_file(8 * width * paged.PAGED_ROWS) as file:
         for count, message in enumerate(messages):
             table.take(message)
@@ -184,10 +198,12 @@ def signals_of(
         columns: Any = paged.columns(file, width)
     ticks = len(columns[0])
     verdict = columns[ROLE_COLUMNS + CODES - 1] if network.status.verdicts else None
+    further = columns[ROLE_COLUMNS + CODES :]
     return replace(
         Signals(times_s(first_tick, ticks, tick_s), *columns[: ROLE_COLUMNS + CODES - 1]),
         verdict=verdict,
-        sensors=dict(zip(table.sensors, columns[ROLE_COLUMNS + CODES :], strict=True)),
+        sensors=dict(zip(table.sensors, further, strict=False)),
+        echo_ages=dict(zip(table.echo_ages, further[len(table.sensors) :], strict=True)),
     )
 
 
@@ -219,9 +235,16 @@ class SignalRows:
         ]
         """Columns of the further sensors."""
         timings = [(period, 0, 0) for period in network.periods]
+        self.echo_ages: Final = [name + AGE for name in self.sensors if name in ECHO_COLUMNS]
+        """Columns of the ages of the actuators' echoes."""
         self._hearing = Hearing(network.witnesses, timings, self.sensors)
         self._tick = -1
         self._marked = False
+
+    @property
+    def width(self) -> int:
+        """Values of a row."""
+        return ROLE_COLUMNS + CODES + len(self.sensors) + len(self.echo_ages)
 
     @property
     def tick(self) -> int:
@@ -310,9 +333,10 @@ class SignalRows:
             self._tick = self.first_tick = tick_at(wire_tick, timestamp_s, self._tick_s)
             ahead = 1
         for _ in range(ahead):
-            self.rows.append([math.nan] * (ROLE_COLUMNS + CODES + len(self.sensors)))
+            self.rows.append([math.nan] * self.width)
         heard = self._hearing.end_tick(self._tick)
-        self.rows[-1][ROLE_COLUMNS + CODES :] = [heard[name] for name in self.sensors]
+        further = (heard[name] for name in (*self.sensors, *self.echo_ages))
+        self.rows[-1][ROLE_COLUMNS + CODES :] = further
 
     def _end_ticks(self, at: int, ticks: int) -> None:
         """Tell a receiver the end of this tick, and of further ticks without a frame."""

@@ -260,6 +260,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         monitor=limits.monitor,
         doubt=scenario.budget.box,
         motion_limit=scenario.model.friction * GRAVITY_MPS2 if scenario.model.is_car else math.inf,
+        echoes=scenario.model.stages[:2] if scenario.hears_actuators else None,
         precision=chosen.precision,
     )
 

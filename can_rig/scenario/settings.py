@@ -462,6 +462,11 @@ class Scenario:
         return tuple(sorted(self.sensor, key=lambda each: MEASURED.index(each.measures)))
 
     @cached_property
+    def hears_actuators(self) -> bool:
+        """Whether an actuator reports its output, which the rig's own law hears."""
+        return any(each.measures in ECHOES for each in self.sensor)
+
+    @cached_property
     def places(self) -> tuple[str, ...]:
         """The senders of frames that can fail: ``PLACES``, then the further sensors."""
         return (*PLACES, *(each.measures for each in self.sensors))

@@ -10,7 +10,7 @@ the plant's own ``follow``.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, cast, runtime_checkable
 
@@ -35,6 +35,7 @@ from firmware_model.analysis.loop import (
 )
 from firmware_model.analysis.sampled_plant import SampledPlant, follow
 from firmware_model.law import controller as law
+from firmware_model.law.fault_decision.echoes import hear_first
 from firmware_model.law.knowledge import saved_in
 from firmware_model.law.layout import Table, precision_of, table_type
 from firmware_model.law.schedule import Constants, change_first_speed
@@ -110,6 +111,16 @@ class SensedPlant(AnyPlant, Protocol):
         """
 
 
+class Hears(Protocol):
+    """Who hears the actuators' echoes."""
+
+    def echoes(self) -> Iterable[tuple[int, float, float]]:
+        """The echoes of this tick, for ``echoes.hear``; asked once a tick."""
+
+    def restart(self) -> None:
+        """The controller begins again, as after power-up."""
+
+
 class AnyController(Protocol):
     """A controller in place of the control law, at rest when it is given to ``simulate``."""
 
@@ -154,6 +165,7 @@ class Simulation:
         frames: (3, ``GRID``), frames of both commands and of the measurement; see ``hardware``.
         keeps_states: whether ``plant_states`` records the states of a ``SampledPlant``.
         at_rest: (1,), the controller's first state, also after a restart; None: at rest.
+        hears: hears the actuators' echoes. Default: the law hears no echo.
         restarts: in ascending order, the first tick without power, the tick at whose begin the
             controller starts again, and whether the state saved before survives.
     """
@@ -178,6 +190,7 @@ class Simulation:
         frames: FloatArray = hardware.EXACT_FRAMES,
         keeps_states: bool = False,
         at_rest: RecordArray | None = None,
+        hears: Hears | None = None,
         restarts: Sequence[tuple[int, int, bool]] = (),
     ) -> None:
         self.ticks = ticks = len(reference)
@@ -198,6 +211,7 @@ class Simulation:
         table = cast("Table", controller if ours else np.zeros((), table_type())[()])
         state = law.init(table) if at_rest is None else at_rest
         self._table, self._at_rest = table, state
+        self._hears = hears
         self._restarts = tuple(restarts)
         tables = np.asarray(table).reshape(1)
         self._loop = (
@@ -240,6 +254,8 @@ class Simulation:
         if self._other is not None:
             self._other.restart()
             return
+        if self._hears is not None:
+            self._hears.restart()
         tables, states, *_ = self._loop
         states.view(np.uint8)[...] = self._at_rest.view(np.uint8)
         if survives:
@@ -250,7 +266,8 @@ class Simulation:
 
     def _run(self, end: int) -> None:
         plant = self._plant
-        if isinstance(plant, SampledPlant) and self._other is None:
+        ours = self._other is None and self._hears is None
+        if isinstance(plant, SampledPlant) and ours:
             if end > self.done:
                 self._output = run_ticks(
                     *self._loop, self.done, end, *self._output, plant.constants, self._memory,
@@ -258,7 +275,7 @@ class Simulation:
                 )  # fmt: skip
                 self.done = end
             return
-        if isinstance(plant, LoopPlant) and self._other is None and self._speed is None:
+        if isinstance(plant, LoopPlant) and ours and self._speed is None:
             if end > self.done:
                 self._output = plant.run_loop(self._loop, self.done, end, self._output)
                 self.done = end
@@ -283,6 +300,9 @@ class Simulation:
         if other is None:
             if self._speed is not None:
                 change_first_speed(*self._speeds, self._speed[k])
+            if self._hears is not None:
+                for echo in self._hears.echoes():
+                    hear_first(*self._loop[:2], *echo)
             return tick(*self._loop, k, *self._output)
         _, _, inputs, grid, actuators, signals, states = self._loop
         measured = measure(inputs, grid, actuators, signals, k, *self._output)

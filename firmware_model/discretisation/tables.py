@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from firmware_model.design.actuator_dynamics import Stage
 from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.mismatch import STEP
 from firmware_model.design.zpk import ZeroPoleGain
@@ -19,10 +20,11 @@ from firmware_model.discretisation.monitor import fill_monitor
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.takeover import fill_takeover
 from firmware_model.discretisation.targets import Target
-from firmware_model.discretisation.tustin import tustin
+from firmware_model.discretisation.tustin import tustin, zoh
 from firmware_model.discretisation.whitening import Whitening, whitening
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
+from firmware_model.law.fault_decision.echoes import Constants as EchoesConstants
 from firmware_model.law.fault_decision.hypotheses.frozen import Constants as FrozenConstants
 from firmware_model.law.filters import biquad, whitener
 from firmware_model.law.filters.estimator import Constants as EstimatorConstants
@@ -52,10 +54,34 @@ def fill_hypotheses(table: Table, target: Target) -> None:
         (signatures.force_lost, LEAST_SHARE, MOST_SHARE),
         (signatures.sensor_biased, -math.inf, math.inf),
         (signatures.sensor_drifting, -math.inf, math.inf),
+        (table.echoes.share, LEAST_SHARE, MOST_SHARE),
+        (table.echoes.wrong, -MOST_SHARE, -LEAST_SHARE),
         (constants.frozen.size_of_one, 1.0, 1.0),
     ):
         limits.least, limits.most = least, most
     fill_frozen(constants.frozen, target)
+    if target.echoes is not None:
+        fill_echoes(table.echoes, target.echoes, target.tick_s)
+
+
+def fill_echoes(echoes: EchoesConstants, actuators: tuple[Stage, Stage], tick_s: float) -> None:
+    """Both actuators between commands that arrive at ticks, with their commands held between."""
+    echoes.longest = max(math.ceil(ECHO_S / tick_s), LEAST_ECHO_TICKS)
+    echoes.working = math.ceil(WORKING_S / tick_s)
+    for own, actuator in ((echoes.actuator_1, actuators[0]), (echoes.actuator_2, actuators[1])):
+        lag = actuator.transfer_function
+        if lag.poles:
+            stage = zoh(lag, tick_s)
+            _fill_filter(own.stage, stage)
+            own.lead = 1.0 / stage.coefficients[0][1] if len(lag.poles) == 1 else 1.0
+        else:  # the command that arrived a tick ago
+            own.lead = 1.0
+            own.stage.n, own.stage.coefficients[0] = 1, (0.0, 1.0, 0.0, 1.0, 0.0)
+        own.dead_ticks = round(actuator.dead_time_s / tick_s)
+    slowest_s = max(
+        (-1.0 / pole.real for pole in actuators[0].transfer_function.poles), default=0.0
+    )
+    echoes.response_1 = math.ceil(RESPONSE * slowest_s / tick_s) + 1.0
 
 
 def fill_frozen(frozen: FrozenConstants, target: Target) -> None:
@@ -136,6 +162,7 @@ RESTART = -1.0  # evidence that ends a candidate
 FRESHNESS = 0.1  # least growth of a candidate's information when the age doubles
 DEVIATIONS, NEVER = 3.0, 1e9  # threshold for losses above the model's channel
 SHARE_VARIANCE = 0.09  # of the share at the confirmation of a loss, at most
+DENIED = 10.0  # evidence of a loss over usual evidence, where the echo says that the motor works
 RECOVER = 5.0  # evidence of a return over evidence of a loss
 MOMENT = 0.5  # deviation of a loss's moment, as a part of the time to confirmation
 LEAST_DOUBT = 0.04  # for cars with a G1 20 % off the model
@@ -151,6 +178,9 @@ REMAINDER_S = 0.12  # time constant of the remainder beyond the first order
 WHITE = 0.1  # white part of the remainder
 RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's change of G1 u1
 POWERLESS_S = 0.3  # a car follows large commands sooner
+WORKING_S = 0.5  # of good echoes, one a tick, that end a fault; a rarer echo needs longer
+RESPONSE = 2.0  # time constants of an actuator until its echo misses most of a lost command
+ECHO_S, LEAST_ECHO_TICKS = 0.1, 5  # an echo that stays away for longer gives no information
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
 
 
@@ -309,6 +339,7 @@ def _fill_decision(table: Table, target: Target, white: Whitening) -> None:
     """Thresholds for a loss in d̂ and for the return."""
     decision, test = table.decision, table.sequential_test
     decision.confirm = max(target.evidence(target.false_alarms_per_hour), LEAST_EVIDENCE)
+    decision.denied = DENIED * decision.confirm
     decision.recover = RECOVER * decision.confirm
     suspect = max(target.evidence(target.suspicions_per_hour), LEAST_EVIDENCE)
     decision.suspect = min(suspect, decision.confirm)

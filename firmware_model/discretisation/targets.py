@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from firmware_model.design.actuator_dynamics import Stage
 from firmware_model.design.mismatch import TRUSTED, Mismatch
 from firmware_model.discretisation.rules import RULE_NAMES, Rule
 from firmware_model.errors import ParameterError
@@ -45,6 +46,7 @@ class Target:
         doubt: motion of healthy cars beyond the reference, as a share of the reference.
         motion_limit: largest motion that the tires can hold, in the measurement's unit.
         prewarp_rad_per_s: frequency at which C and F̂ keep their continuous response exactly.
+        echoes: both actuators, whose outputs the law hears; None: an actuator reports nothing.
         precision: of every number in the table and the state.
     """
 
@@ -72,6 +74,7 @@ class Target:
     doubt: float = 0.0
     motion_limit: float = math.inf
     prewarp_rad_per_s: float | None = None
+    echoes: tuple[Stage, Stage] | None = None
     precision: Precision = "float64"
 
     def __post_init__(self) -> None:

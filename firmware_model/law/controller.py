@@ -41,6 +41,7 @@ from firmware_model.law.fault_decision.decision import (
     decide,
     show_acting_commands,
 )
+from firmware_model.law.fault_decision.echoes import advance_echoes, settle_echoes
 from firmware_model.law.fault_decision.hypotheses.sensor_error import advance_sensor_error
 from firmware_model.law.fault_decision.hypotheses.signatures import advance_signatures
 from firmware_model.law.fault_decision.hypotheses.verdict import (
@@ -347,6 +348,7 @@ def advance_models(table: Table, state: State, short_1: float, short_2: float) -
     advance_candidate(table, state)
     advance_other_cars(table, state)
     advance_signatures(table, state)
+    advance_echoes(table, state)
     advance_sensor_error(table, state)
     advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
     advance_motion(table.takeover, table.estimator.channel_1, state.takeover)
@@ -394,6 +396,7 @@ def settle_loop(table: Table, state: State, target: float) -> None:
     settle_mismatch(table, state, model_1 + model_2)
     start_candidate(table, state)
     clear_hypotheses(state)
+    settle_echoes(table, state)
     clear_prediction(state.prediction)
     recall_car(table, state)
     state.safe_stop.elapsed = state.standby.elapsed = 0.0

@@ -23,6 +23,8 @@ from firmware_model.law.fault_decision.bumpless_transfer import (
 from firmware_model.law.fault_decision.decision import (
     Constants as DecisionConstants,
 )
+from firmware_model.law.fault_decision.echoes import Constants as EchoesConstants
+from firmware_model.law.fault_decision.echoes import State as EchoesState
 from firmware_model.law.fault_decision.hypotheses import verdict
 from firmware_model.law.fault_decision.loss_model import (
     Constants as LossModelConstants,
@@ -99,6 +101,7 @@ class Table(Struct):
     loss_model: Annotated[LossModelConstants, "1", "what is lost"]
     decision: Annotated[DecisionConstants, "1", "on the fault state"]
     bumpless_transfer: Annotated[BumplessTransferConstants, "1", "of F̂ to s w"]
+    echoes: Annotated[EchoesConstants, "1", "of what the actuators report"]
     hypotheses: Annotated[verdict.Constants, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopConstants, "1", "where both actuators are lost"]
     prediction: Annotated[PredictionConstants, "1", "in place of a missing measurement"]
@@ -122,6 +125,7 @@ class State(status.State):
     sequential_test: Annotated[likelihood_ratio.State, "1", "for a loss or its end"]
     loss_model: Annotated[LossModelState, "1", "what is lost"]
     bumpless_transfer: Annotated[BumplessTransferState, "1", "of F̂ to s w"]
+    echoes: Annotated[EchoesState, "1", "what the actuators report"]
     hypotheses: Annotated[verdict.State, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopState, "1", "where the commands have to go"]
     prediction: Annotated[PredictionState, "1", "in place of a missing measurement"]

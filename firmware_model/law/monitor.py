@@ -135,7 +135,9 @@ def judge_motion(table: Constants, own: State, y: float) -> None:
     count_swings(table, own, outside(y, own.low, own.high), table.swing + reach)
     if own.swings >= table.most_swings and own.reason < SWINGING:
         torque_alone = own.reason == COMPENSATION_OFF or own.sent_2 == 0.0
-        own.reason = SWINGING if torque_alone else COMPENSATION_OFF
+        own.reason = COMPENSATION_OFF
+        if torque_alone:
+            own.reason = SWINGING
         own.swings = 0.0
 
 

@@ -4,11 +4,18 @@
 /* How many instructions each tick takes: reference and measurement from a file,
 //: end
  * counts to another.
+//: if node
+ * The whole node is counted, from its frames to its frames, without the driver.
+//: end
  *
  * The emulator gives every instruction 64 ns and SysTick counts 40 ns, so a count times 40/64 is
  * exact to an instruction.
  */
+//: if node
+#include "ecu.h"
+//: else
 #include "firmware.h"
+//: end
 #include "host.h"
 
 #define SYST_CSR (*(volatile uint32_t *)0xE000E010u)
@@ -19,13 +26,99 @@
 #define MOST_TICKS 65536
 
 //: if blends
-static struct firmware_memory state;
 static double inputs[MOST_TICKS][3];
 //: else
-static struct layout_state state;
 static double inputs[MOST_TICKS][2];
 //: end
 static uint32_t counts[MOST_TICKS];
+//: if node
+
+/* The sender of an input of the node. */
+struct sender {
+    const struct frame *frame;
+    struct e2e_protector protector;
+    uint8_t data[8];
+};
+
+static struct ecu node;
+static struct sender senders[] = {
+    {.frame = &frame_reference},
+    {.frame = &frame_feedback},
+//: if blends
+    {.frame = &frame_speed},
+//: end
+};
+
+#define SENDERS (sizeof senders / sizeof senders[0])
+
+void ecu_send(const struct ecu *ecu, uint16_t id, const uint8_t data[8])
+{
+    (void)ecu;
+    (void)id;
+    (void)data;
+}
+
+static void begin(void)
+{
+    (void)ecu_init(&node);
+    for (uint32_t i = 0; i < SENDERS; i++) {
+        e2e_protector_init(&senders[i].protector, senders[i].frame->data_id);
+    }
+}
+
+static void prepare(uint32_t tick)
+{
+    for (uint32_t i = 0; i < SENDERS; i++) {
+        struct sender *const own = &senders[i];
+
+        own->data[1] = 0;
+        frame_pack(own->frame, (real)inputs[tick][i], (uint16_t)tick, own->data);
+        e2e_protect(&own->protector, own->data);
+    }
+}
+
+static bool take(const struct sender *own)
+{
+    return ecu_on_frame(&node, own->frame->id, 8, own->data, 0);
+}
+
+static void work(uint32_t tick)
+{
+    (void)tick;
+//: if blends
+    (void)take(&senders[2]);
+//: end
+    (void)take(&senders[0]);
+    if (take(&senders[1])) {
+        ecu_on_tick(&node);
+    }
+}
+//: else
+//: if blends
+static struct firmware_memory state;
+//: else
+static struct layout_state state;
+//: end
+
+static void begin(void)
+{
+    firmware_init(&state);
+    firmware_reset(&state, {zero});
+}
+
+static void prepare(uint32_t tick)
+{
+    (void)tick;
+}
+
+static void work(uint32_t tick)
+{
+//: if blends
+    firmware_change_speed(&state, (real)inputs[tick][2]);
+//: end
+    (void)firmware_step(&state, (real)inputs[tick][0], (real)inputs[tick][1]);
+}
+//: end
 
 int main(void)
 {
@@ -35,20 +128,14 @@ int main(void)
 
     (void)host_read(from, &ticks, sizeof ticks);
     (void)host_read(from, inputs, ticks * sizeof inputs[0]);
-    firmware_init(&state);
-    firmware_reset(&state, {zero});
+    begin();
     SYST_RVR = LARGEST;
     SYST_CSR = 5; /* the processor's clock, no interrupt */
     for (uint32_t i = 0; i < ticks; i++) {
-        const real reference = (real)inputs[i][0];
-        const real measurement = (real)inputs[i][1];
-
+        prepare(i);
         SYST_CVR = 0; /* starts again from the largest */
         const uint32_t before = SYST_CVR;
-//: if blends
-        firmware_change_speed(&state, (real)inputs[i][2]);
-//: end
-        (void)firmware_step(&state, reference, measurement);
+        work(i);
         counts[i] = (before - SYST_CVR) & LARGEST;
     }
     (void)host_write(to, counts, ticks * sizeof counts[0]);

@@ -48,8 +48,3 @@ uint8_t crc_8(uint8_t crc, const uint8_t *bytes, uint32_t size)
     }
     return crc;
 }
-
-int32_t signed_32(uint32_t bits)
-{
-    return bits <= (uint32_t)INT32_MAX ? (int32_t)bits : -(int32_t)(UINT32_MAX - bits) - 1;
-}

@@ -14,9 +14,6 @@ uint32_t crc_32(uint32_t crc, const uint8_t *bytes, uint32_t size);
 /* CRC-8 (SAE J1850) of further bytes. */
 uint8_t crc_8(uint8_t crc, const uint8_t *bytes, uint32_t size);
 
-/* The number with these bits. */
-int32_t signed_32(uint32_t bits);
-
 #ifdef __cplusplus
 }
 #endif

@@ -27,8 +27,8 @@ static void begin(struct ecu *ecu)
     ecu->speed_offered = false;
 //: end
     ecu->running = false;
-    ecu->wanted = (double)NAN;
-    ecu->measured = (double)NAN;
+    ecu->wanted = (real)NAN;
+    ecu->measured = (real)NAN;
 }
 
 bool ecu_init(struct ecu *ecu)
@@ -78,7 +78,7 @@ static void take_reference(struct ecu *ecu, uint8_t length, const uint8_t *data)
 static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
 {
     if (receive(&ecu->speed, ecu->tick, length, data)) {
-        firmware_change_speed(&ecu->state, (real)frame_value(&frame_speed, data));
+        firmware_change_speed(&ecu->state, frame_value(&frame_speed, data));
     }
 }
 //: else
@@ -167,7 +167,7 @@ bool ecu_is_overdue(struct ecu *ecu, uint32_t now_us)
 }
 
 static void answer(const struct ecu *ecu, const struct frame *frame,
-                   struct e2e_protector *protector, double value, uint8_t status_bits,
+                   struct e2e_protector *protector, real value, uint8_t status_bits,
                    uint8_t verdict)
 {
     uint8_t data[8] = {0};
@@ -192,22 +192,22 @@ static void end_tick(struct ecu_receiver *receiver)
 void ecu_on_tick(struct ecu *ecu)
 {
     const bool wanted = ecu->wanted_tick == ecu->tick;
-    const double reference = wanted ? ecu->wanted : (double)NAN;
+    const real reference = wanted ? ecu->wanted : (real)NAN;
     const struct firmware_answer now =
-        firmware_step(&ecu->state, (real)reference, (real)ecu->measured);
+        firmware_step(&ecu->state, reference, ecu->measured);
     const uint8_t bits = (uint8_t)((uint32_t)now.mode << frame_status.mode_shift |
                                    (uint32_t)now.fault_state << frame_status.fault_state_shift);
 
-    answer(ecu, &frame_command_1, &ecu->command_1, (double)now.command_1, 0, 0);
-    answer(ecu, &frame_command_2, &ecu->command_2, (double)now.command_2, 0, 0);
-    answer(ecu, &frame_status, &ecu->status, (double)now.fault_estimate, bits,
+    answer(ecu, &frame_command_1, &ecu->command_1, now.command_1, 0, 0);
+    answer(ecu, &frame_command_2, &ecu->command_2, now.command_2, 0, 0);
+    answer(ecu, &frame_status, &ecu->status, now.fault_estimate, bits,
            (uint8_t)now.verdict);
     end_tick(&ecu->reference);
     end_tick(&ecu->feedback);
 //: if hears
     end_tick(&ecu->speed);
 //: end
-    ecu->measured = (double)NAN;
+    ecu->measured = (real)NAN;
     ecu->tick++;
     ecu->alive++;
     ecu->expected_us += ecu_tick_us;

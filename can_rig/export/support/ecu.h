@@ -44,9 +44,9 @@ struct ecu {
     bool is_fit;          /* whether the self-test succeeded; else the node takes in no frame */
     bool running;         /* whether the first contact has said which tick it is */
     uint16_t tick;        /* the next one, modulo 65536 */
-    double wanted;        /* the value of the last reference that was accepted */
+    real wanted;        /* the value of the last reference that was accepted */
     uint16_t wanted_tick; /* its tick */
-    double measured;      /* the feedback of this tick; NAN until it is accepted */
+    real measured;      /* the feedback of this tick; NAN until it is accepted */
     uint32_t expected_us; /* when that should come */
     bool offered;         /* whether a reference came before the first contact: */
     uint8_t first[8];     /* its bytes */

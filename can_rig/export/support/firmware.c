@@ -25,13 +25,17 @@ void firmware_init(struct layout_state *state)
 //: end
 }
 
-static int32_t crc_of(const struct knowledge_saved *saved)
+static uint32_t guard_of(const struct knowledge_saved *saved)
 {
     const uint32_t own = (uint32_t)sizeof saved->crc;
     const uint8_t *const bytes = (const uint8_t *)saved;
-    const uint32_t crc = crc_32(UINT32_MAX, &bytes[own], (uint32_t)sizeof *saved - own);
 
-    return signed_32(crc ^ UINT32_MAX);
+    return crc_32(UINT32_MAX, &bytes[own], (uint32_t)sizeof *saved - own) ^ UINT32_MAX;
+}
+
+static void put(int32_t *place, uint32_t bits)
+{
+    (void)memcpy((uint8_t *)place, (const uint8_t *)&bits, sizeof bits);
 }
 
 //: if blends
@@ -51,8 +55,8 @@ void firmware_save(struct layout_state *state, struct knowledge_saved *saved)
 //: end
     *saved = state->saved;
     state->saved.fingerprint = before;
-    saved->fingerprint = signed_32(self_test_data.fingerprint);
-    saved->crc = crc_of(saved);
+    put(&saved->fingerprint, self_test_data.fingerprint);
+    put(&saved->crc, guard_of(saved));
 }
 
 //: if blends
@@ -63,11 +67,13 @@ bool firmware_restore(struct firmware_memory *memory, const struct knowledge_sav
 bool firmware_restore(struct layout_state *state, const struct knowledge_saved *saved)
 {
 //: end
-    if (saved->fingerprint != signed_32(self_test_data.fingerprint) || saved->crc != crc_of(saved)) {
-        return false;
+    const bool is_whole = (uint32_t)saved->fingerprint == self_test_data.fingerprint &&
+                          (uint32_t)saved->crc == guard_of(saved);
+
+    if (is_whole) {
+        state->saved = *saved;
     }
-    state->saved = *saved;
-    return true;
+    return is_whole;
 }
 
 //: if blends

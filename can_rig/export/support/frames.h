@@ -8,6 +8,7 @@
 #ifndef FRAMES_H
 #define FRAMES_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #include "real.h"
@@ -17,8 +18,8 @@ struct frame {
     uint16_t id;      /* 11-bit CAN identifier */
     uint16_t data_id; /* for the CRC, never sent */
     double lsb;       /* resolution of the value, in its unit */
-    int32_t raw_minimum;
-    int32_t raw_maximum;
+    uint32_t steps_per_unit; /* 1/lsb, exactly */
+    int32_t raw_maximum;     /* the range is -raw_maximum..raw_maximum */
     uint8_t mode_shift; /* where mode and fault state are in byte 1; 0: not in this frame */
     uint8_t fault_state_shift;
     uint8_t verdict_bits; /* below the value; 0: not in this frame */
@@ -34,10 +35,10 @@ extern const struct frame frame_speed;
 //: end
 
 /* Write value and tick into a frame that is all zero. */
-void frame_pack(const struct frame *frame, double value, uint16_t tick, uint8_t data[8]);
+void frame_pack(const struct frame *frame, real value, uint16_t tick, uint8_t data[8]);
 
 /* The value of a frame, in its unit; NAN for a raw value outside the range. */
-double frame_value(const struct frame *frame, const uint8_t data[8]);
+real frame_value(const struct frame *frame, const uint8_t data[8]);
 
 /* The tick of a frame. */
 uint16_t frame_tick(const uint8_t data[8]);

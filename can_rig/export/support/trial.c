@@ -3,6 +3,7 @@
  *
  *     'M', table, state   there is no answer
  *     'I'                 start up, from a state that is all zero; the state
+ *     'E', channel, echo, age       there is no answer
  *     'Z', reference      reset; the state
  *     'S', reference, measurement   step; the state
 //: if blends
@@ -20,6 +21,7 @@
 
 #include "bench.h"
 #include "controller.h"
+#include "echoes.h"
 #include "layout.h"
 //: if blends
 #include "schedule.h"
@@ -39,11 +41,17 @@ static bool load(void *memory, uint32_t size)
 
 static bool obey(uint8_t order)
 {
-    real inputs[2];
+    real inputs[3];
 
     switch (order) {
     case 'M':
         return load(&table, sizeof table) && load(&state, sizeof state);
+    case 'E':
+        if (!load(inputs, sizeof inputs)) {
+            return false;
+        }
+        echoes_hear(&table, &state, inputs[0], inputs[1], inputs[2]);
+        return true;
     case 'I':
         memset(&state, 0, sizeof state);
         controller_start_up(&table, &state);
@@ -55,7 +63,7 @@ static bool obey(uint8_t order)
         controller_reset(&table, &state, inputs[0]);
         break;
     case 'S':
-        if (!load(inputs, sizeof inputs)) {
+        if (!load(inputs, 2 * sizeof inputs[0])) {
             return false;
         }
         controller_step(&table, &state, inputs[0], inputs[1]);

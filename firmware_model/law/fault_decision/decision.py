@@ -24,9 +24,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer
+from firmware_model.law.fault_decision.echoes import denies, known_output, says_lost
 from firmware_model.law.fault_decision.hypotheses.sensor_error import sensor_error_shown
 from firmware_model.law.fault_decision.hypotheses.signatures import begin_all
 from firmware_model.law.fault_decision.hypotheses.verdict import (
+    TORQUE_LOST,
     found_elsewhere,
     weigh_hypotheses,
 )
@@ -37,9 +39,9 @@ from firmware_model.law.fault_decision.likelihood_ratio import (
     update_test,
 )
 from firmware_model.law.fault_decision.loss_model import (
+    earlier_missing,
     earlier_shown,
     fading_output,
-    fading_shown,
     follow_share,
     known_share,
     loss_output,
@@ -72,6 +74,7 @@ class Constants(Struct):
     recover: Annotated[
         float, "1", "evidence that ends a loss: more, because a return is not urgent"
     ]
+    denied: Annotated[float, "1", "evidence that confirms a loss against the echo of actuator 1"]
     suspect: Annotated[float, "1", "evidence of a suspicion; confirms a candidate of a takeover"]
     horizon: Annotated[float, "tick", "time within which a new loss must show"]
     shown: Annotated[float, "1", "energy of a constant of size 1 behind W within ``horizon``"]
@@ -95,7 +98,7 @@ def decide(
     before, w = state.fault_state, loss_shown(table, state)
     known = sensor_error_shown(table, state)
     predict_mismatch(table, state, model_1 + model_2, w, earlier_shown(table, state))
-    fading = fading_shown(table, state)
+    fading = earlier_missing(table, state)
     lost = state.loss_model.share
     new = innovation(table.mismatch, state.mismatch, residual, known, fading, lost)
     follow_share(table.loss_model, state)
@@ -110,8 +113,9 @@ def decide(
         if test.evidence > constants.recover:
             recover(table, state)
         return
-    needed = constants.suspect if test.of_takeover == 1 else constants.confirm
-    if test.evidence > needed:
+    if is_acquitted(table, state):
+        state.fault_state = CANNOT_TELL
+    elif test.evidence > needed_evidence(table, state):
         confirm(table, state)
     elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
         state.fault_state = SUSPECTED
@@ -120,6 +124,32 @@ def decide(
         state.fault_state = CLEAR
         if shows < constants.confirm * state.mismatch.variance:
             state.fault_state = CANNOT_TELL
+
+
+@firmware
+def is_acquitted(table: Table, state: layout.State) -> bool:
+    """Whether the echo of actuator 2 explains d̂ at least half as well as a loss of channel 1."""
+    own = state.hypotheses
+    other = own.signatures.force_echo.candidate.evidence
+    half = real(0.5, other)
+    acquitted: bool = other > table.decision.suspect and other > half * own.evidence[TORQUE_LOST]
+    return acquitted
+
+
+@firmware
+def needed_evidence(table: Table, state: layout.State) -> float:
+    """The evidence that confirms a loss of channel 1.
+
+    Less is needed where the echo of actuator 1 says so too, more where the echo denies the loss.
+    """
+    constants, test = table.decision, state.sequential_test
+    needed: float = constants.confirm
+    echo = state.echoes.channel_1
+    if test.of_takeover == 1 or says_lost(echo):
+        needed = constants.suspect
+    elif denies(table.echoes, echo, test.age):
+        needed = constants.denied
+    return needed
 
 
 @firmware
@@ -173,6 +203,7 @@ def transfer_to_losses(table: Table, state: layout.State) -> None:
     """Begin a bumpless transfer of F̂ to the known loss."""
     loss = state.loss_model
     lost = loss.previous_fading + loss.followed * loss.previous_output
+    lost += state.echoes.channel_1.previous
     speed = compensated_output(table, state) - lost
     begin_transfer(table.bumpless_transfer, state.bumpless_transfer, lost, speed)
 
@@ -182,4 +213,6 @@ def compensated_output(table: Table, state: layout.State) -> float:
     """The input of F̂: the known missing output."""
     loss = state.loss_model
     lost: float = fading_output(table, state) + loss.followed * loss_output(table, state)
+    g1, echo = table.estimator.channel_1, state.echoes.channel_1
+    lost += known_output(table.echoes.actuator_1, g1, echo)
     return lost

@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision.echoes import known_output
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.filters.whitener import add_signal
@@ -93,7 +94,17 @@ def fading_shown(table: Table, state: layout.State) -> float:
 @firmware
 def missing_shown(table: Table, state: layout.State) -> float:
     """Return all that is known to be missing in the measurement of this tick."""
-    missing: float = fading_shown(table, state) + known_share(state) * loss_shown(table, state)
+    missing: float = earlier_missing(table, state) + known_share(state) * loss_shown(table, state)
+    return missing
+
+
+@firmware
+def earlier_missing(table: Table, state: layout.State) -> float:
+    """Return the known missing output less the present loss: of earlier losses, and by echoes."""
+    g1, g2 = table.estimator.channel_1, table.estimator.channel_2
+    reported = known_output(table.echoes.actuator_1, g1, state.echoes.channel_1)
+    reported += known_output(table.echoes.actuator_2, g2, state.echoes.channel_2)
+    missing: float = fading_shown(table, state) + reported
     return missing
 
 

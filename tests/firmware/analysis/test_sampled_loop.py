@@ -145,8 +145,8 @@ def test_spectral_radius_is_that_of_the_block_diagram(
     target = Target(tick_s, latency, rule)
     loop = loop_of(build(designed, target), CAR, tick_s, (left, 1.0))
     expected = np.abs(by_hand(designed, target, CAR, (left, 1.0), 0)).max()
-    # by hand from sections in powers of 1/z, which keep seven digits at 0.1 ms
-    assert loop.spectral_radius() == pytest.approx(expected, rel=1e-6)
+    # by hand from sections in powers of 1/z, which keep five digits at 0.1 ms
+    assert loop.spectral_radius() == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.compiled

@@ -14,7 +14,7 @@ from scipy import optimize, signal, stats
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.hypotheses.candidate import (
+from firmware_model.law.fault_decision.candidate import (
     likeliest,
     take_in,
 )

@@ -6,6 +6,7 @@ import ctypes
 import math
 from functools import cache
 
+import numpy as np
 import pytest
 from e2e.p01 import e2e_p01_check
 from hypothesis import given
@@ -13,21 +14,24 @@ from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.controllers.ecus import host_library
+from can_rig.export.application import in_precision
 from can_rig.frames.codec import USABLE, Checker, CheckStatus, MessageCodec, Protector
 from can_rig.scenario.build import network_of
+from firmware_model.law.structs import Precision
 
 SCENARIO = load("default", [])
 NETWORK = network_of(SCENARIO)
 
 
 @cache
-def c() -> ctypes.CDLL:
+def c(precision: Precision = "float64") -> ctypes.CDLL:
     """The node in C, for its functions."""
-    found = ctypes.CDLL(str(host_library(SCENARIO)))
+    real = ctypes.c_float if precision == "float32" else ctypes.c_double
+    found = ctypes.CDLL(str(host_library(in_precision(SCENARIO, precision))))
     found.e2e_check.restype = found.e2e_intact.restype = ctypes.c_bool
-    found.frame_value.restype = ctypes.c_double
+    found.frame_value.restype = real
     found.frame_tick.restype = ctypes.c_uint16
-    argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_uint16, ctypes.c_void_p]
+    argtypes = [ctypes.c_void_p, real, ctypes.c_uint16, ctypes.c_void_p]
     found.frame_pack.argtypes = argtypes
     return found
 
@@ -44,8 +48,8 @@ class ProtectorInC(ctypes.Structure):
     _fields_ = (("data_id", ctypes.c_uint16), ("counter", ctypes.c_uint8))
 
 
-def definition(codec: MessageCodec) -> int:
-    return ctypes.addressof(ctypes.c_char.in_dll(c(), f"frame_{codec.role}"))
+def definition(codec: MessageCodec, precision: Precision = "float64") -> int:
+    return ctypes.addressof(ctypes.c_char.in_dll(c(precision), f"frame_{codec.role}"))
 
 
 @given(data_id=st.integers(0, 0xFFFF), payloads=st.lists(st.binary(min_size=8, max_size=8)))
@@ -115,6 +119,23 @@ def test_the_ends_of_a_range_are_packed_as_by_the_rig(codec: MessageCodec) -> No
             data = ctypes.create_string_buffer(8)
             c().frame_pack(definition(codec), value, 0, data)
             assert data.raw == bytes(codec.encode(value, 0))
+
+
+@pytest.mark.parametrize("codec", list(NETWORK), ids=lambda codec: codec.role)
+@given(
+    value=st.one_of(
+        st.floats(width=32),
+        st.integers(-(2**24), 2**24).map(lambda n: n * 2.0**-16),  # halves of a step
+        st.integers(-(2**31), 2**31).map(lambda n: float(np.float32(n * 1e-3))),
+        st.integers(-(2**31), 2**31).map(lambda n: float(np.float32(n * 1e-8))),
+    )
+)
+def test_single_precision_is_packed_without_double_as_by_the_rig(
+    codec: MessageCodec, value: float
+) -> None:
+    data = ctypes.create_string_buffer(8)
+    c("float32").frame_pack(definition(codec, "float32"), value, 7, data)
+    assert data.raw == bytes(codec.encode(value, 7))
 
 
 @pytest.mark.parametrize("codec", list(NETWORK), ids=lambda codec: codec.role)

@@ -31,11 +31,12 @@ DRIVE = load(
      "fault.kind=none", 'design.precision="float32"'],
 )  # fmt: skip
 NOTHING = Coverage(0, 0, 0, 0, 0, 0, ())
-FREE = Cost("m4f", "float32", 1111, 2222, 3333, 4444, np.array([5555.0]))
+FREE = Cost("m4f", "float32", 1111, 2222, 3333, 4444, np.array([5555.0]), np.array([6666.0]))
 
 
 def few_files(*of: object) -> dict[str, str]:
-    return {name: text for name, text in exported(SCENARIO).items() if name.startswith("e2e")}
+    every = exported(SCENARIO).items()
+    return {name: text for name, text in every if name.startswith(("crc", "e2e"))}
 
 
 def needs(tool: str) -> pytest.MarkDecorator:

@@ -19,7 +19,7 @@ from can_rig.replaying.replay import OpenLoop
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import PYTHON_LAW, ChangeSpeed, Law, Memories, Step
+from firmware_model.firmware import PYTHON_LAW, ChangeSpeed, Hear, Law, Memories, Step
 from firmware_model.law.structs import RecordArray
 
 FOLDER: Final = Path(__file__).parents[2] / "drives"
@@ -93,6 +93,10 @@ class WithRecordedConstants:
     def step_of(self, tables: RecordArray, states: RecordArray) -> Step:
         """See ``Law``."""
         return self._law.step_of(tables, states)
+
+    def hear_of(self, tables: RecordArray, states: RecordArray) -> Hear:
+        """See ``Law``."""
+        return self._law.hear_of(tables, states)
 
     def reset(self, table: Any, state: Any, reference: float) -> None:
         """See ``Law``."""

@@ -12,7 +12,9 @@ from can_rig.scenario.settings import Scenario
 Run = Callable[..., tuple[Scenario, Signals]]
 
 COLUMNS = [
-    name for name in Signals.__dataclass_fields__ if name not in ("plant", "sensors", "whose_fault")
+    name
+    for name in Signals.__dataclass_fields__
+    if name not in ("plant", "sensors", "whose_fault", "echo_ages")
 ]
 """The fields with a number for each tick."""
 

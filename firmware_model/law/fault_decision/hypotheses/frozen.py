@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.hypotheses import candidate
-from firmware_model.law.fault_decision.hypotheses.candidate import State as CandidateState
-from firmware_model.law.fault_decision.hypotheses.candidate import start, take_in
+from firmware_model.law.fault_decision import candidate
+from firmware_model.law.fault_decision.candidate import State as CandidateState
+from firmware_model.law.fault_decision.candidate import start, take_in
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
 

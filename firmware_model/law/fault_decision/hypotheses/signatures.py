@@ -14,16 +14,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.hypotheses.candidate import (
+from firmware_model.law.fault_decision.candidate import (
     Constants as CandidateConstants,
 )
-from firmware_model.law.fault_decision.hypotheses.candidate import (
+from firmware_model.law.fault_decision.candidate import (
     Limits as CandidateLimits,
 )
-from firmware_model.law.fault_decision.hypotheses.candidate import (
+from firmware_model.law.fault_decision.candidate import (
     State as CandidateState,
 )
-from firmware_model.law.fault_decision.hypotheses.candidate import has_failed, start, take_in
+from firmware_model.law.fault_decision.candidate import has_failed, start, take_in
+from firmware_model.law.fault_decision.echoes import missing_command
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.precision import real
@@ -58,6 +59,8 @@ class State(Struct):
     force_lost: Annotated[One, "1", "loss of channel 2"]
     sensor_biased: Annotated[One, "y", "a bias of the sensor"]
     sensor_drifting: Annotated[One, "y/tick", "a drift of the sensor"]
+    torque_echo: Annotated[One, "1", "the error of the echo of actuator 1"]
+    force_echo: Annotated[One, "1", "the error of the echo of actuator 2"]
     ramp: Annotated[float, "tick", "the drift of 1/tick as of this tick"]
     commanded: Annotated[float, "y²", "Σ (commanded effect of channel 2 on y)²"]
     missing: Annotated[float, "y²", "Σ commanded effect · missing effect in y"]
@@ -87,6 +90,32 @@ def weigh_signatures(table: Table, state: layout.State, innovation: float) -> No
         own.commanded = own.missing = own.before = 0.0
     if not state.sequential_test.age > real(0.0, one):  # the candidate for channel 1 begins again
         own.before = force.candidate.evidence
+    echoes = state.echoes
+    actuator_1, actuator_2 = table.echoes.actuator_1, table.echoes.actuator_2
+    if echoes.channel_1.left > 0:
+        missing = missing_command(actuator_1, echoes.channel_1)
+        weigh_echo(
+            table,
+            state,
+            own.torque_echo,
+            output(g1, own.torque_echo.answer, missing),
+            echoes.channel_1.believed,
+            innovation,
+        )
+    elif own.torque_echo.candidate.age > 0.0:
+        begin(own.torque_echo)
+    if echoes.channel_2.left > 0:
+        missing = missing_command(actuator_2, echoes.channel_2)
+        weigh_echo(
+            table,
+            state,
+            own.force_echo,
+            output(g2, own.force_echo.answer, missing),
+            echoes.channel_2.believed,
+            innovation,
+        )
+    elif own.force_echo.candidate.age > 0.0:
+        begin(own.force_echo)
     half = real(0.5, innovation)
     fresh = half * innovation * innovation / state.mismatch.variance
     bias, drift = own.sensor_biased, own.sensor_drifting
@@ -108,6 +137,19 @@ def weigh_signatures(table: Table, state: layout.State, innovation: float) -> No
 
 
 @firmware
+def weigh_echo(
+    table: Table, state: layout.State, own: One, shown: float, believed: int, innovation: float
+) -> None:
+    """Weigh the missing output that an echo reports as ``shown`` in d̂; see ``echoes``."""
+    if believed == 1:
+        take_in(table, state, own.candidate, table.echoes.wrong, shown, innovation)
+    else:
+        take_in(table, state, own.candidate, table.echoes.share, shown, innovation)
+    if has_failed(table.hypotheses.signatures.candidate, own.candidate):
+        begin(own)
+
+
+@firmware
 def begin(hypothesis: One) -> None:
     """Its onset is now."""
     start(hypothesis.candidate)
@@ -119,6 +161,8 @@ def begin_all(state: State) -> None:
     """The onset of each is now."""
     begin(state.torque_offset)
     begin(state.force_lost)
+    begin(state.torque_echo)
+    begin(state.force_echo)
     begin(state.sensor_biased)
     begin(state.sensor_drifting)
     state.ramp = state.jump = state.commanded = state.missing = state.before = 0.0
@@ -141,6 +185,13 @@ def advance_signatures(table: Table, state: layout.State) -> None:
     one = real(1.0, own.ramp)
     advance(estimator.channel_1, own.torque_offset.answer, -one)
     advance(estimator.channel_2, own.force_lost.answer, state.other_cars.command_2)
+    echoes = state.echoes
+    if echoes.channel_1.left > 0:
+        missing = missing_command(table.echoes.actuator_1, echoes.channel_1)
+        advance(estimator.channel_1, own.torque_echo.answer, missing)
+    if echoes.channel_2.left > 0:
+        missing = missing_command(table.echoes.actuator_2, echoes.channel_2)
+        advance(estimator.channel_2, own.force_echo.answer, missing)
     advance(estimator.measurement, own.sensor_biased.answer, -one)
     advance(estimator.measurement, own.sensor_drifting.answer, own.ramp)
     own.ramp -= one

@@ -19,12 +19,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision import candidate
+from firmware_model.law.fault_decision.candidate import likeliest
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, variance_of
-from firmware_model.law.fault_decision.hypotheses import (
-    candidate,
-    signatures,
-)
-from firmware_model.law.fault_decision.hypotheses.candidate import likeliest
+from firmware_model.law.fault_decision.echoes import Echo, believe, says_lost, works
+from firmware_model.law.fault_decision.hypotheses import signatures
 from firmware_model.law.fault_decision.hypotheses.frozen import (
     Constants as FrozenConstants,
 )
@@ -111,8 +110,13 @@ def weigh_hypotheses(table: Table, state: layout.State, innovation: float, expec
     weigh_frozen(table, state, innovation, expected)
     own = state.hypotheses
     own.evidence[TORQUE_LOST] = torque_evidence(table, state)
-    own.evidence[TORQUE_OFFSET] = own.signatures.torque_offset.candidate.evidence
-    own.evidence[FORCE_LOST] = own.signatures.force_lost.candidate.evidence
+    weighed = own.signatures
+    own.evidence[TORQUE_OFFSET] = max(
+        weighed.torque_offset.candidate.evidence, weighed.torque_echo.candidate.evidence
+    )
+    own.evidence[FORCE_LOST] = max(
+        weighed.force_lost.candidate.evidence, weighed.force_echo.candidate.evidence
+    )
     own.evidence[SENSOR_BIASED] = own.signatures.sensor_biased.candidate.evidence
     own.evidence[SENSOR_DRIFTING] = own.signatures.sensor_drifting.candidate.evidence
     own.evidence[SENSOR_FROZEN] = own.frozen.evidence
@@ -164,6 +168,13 @@ def judge(table: Table, state: layout.State) -> None:
         ahead = force - max(torque, sensor) > table.hypotheses.both_lost
         if ahead and answers_no_more(own.signatures):
             own.verdict = BOTH_LOST
+    elif is_reported(own.signatures.force_echo, confirm, most):
+        row, echo = own.signatures.force_echo, state.echoes.channel_2
+        find_by_echo(table, state, row, echo, FORCE_LOST)
+    elif is_reported(own.signatures.torque_echo, confirm, most):
+        find_by_echo(
+            table, state, own.signatures.torque_echo, state.echoes.channel_1, TORQUE_OFFSET
+        )
     elif most > confirm and is_clear(table, state, most, second):
         find(table, state, likeliest_fault(evidence, most))
     elif own.verdict == NOTHING and most > confirm:
@@ -171,6 +182,21 @@ def judge(table: Table, state: layout.State) -> None:
     elif own.verdict == NOTHING:
         enough = table.decision.suspect if was == ANOTHER_CAR else confirm
         own.verdict = ANOTHER_CAR if evidence[ANOTHER_CAR] > enough else NOTHING
+    own.verdict = with_echoes(state, own.verdict)
+
+
+@firmware
+def with_echoes(state: layout.State, verdict: int) -> int:
+    """The verdict of a tick, where a believed echo names the place."""
+    torque, force = state.echoes.channel_1, state.echoes.channel_2
+    if state.fault_state == CONFIRMED:
+        gone = force.believed == 1 and says_lost(force)
+        verdict = BOTH_LOST if gone else verdict
+    elif torque.believed == 1:
+        verdict = TORQUE_LOST if says_lost(torque) else TORQUE_OFFSET
+    elif force.believed == 1:
+        verdict = FORCE_LOST
+    return verdict
 
 
 @firmware
@@ -194,6 +220,30 @@ def is_clear(table: Table, state: layout.State, most: float, second: float) -> b
 
 
 @firmware
+def is_reported(own: signatures.One, confirm: float, most: float) -> bool:
+    """Whether the echo of an actuator explains d̂ at least half as well as any other fault.
+
+    The echo would have to be wrong at the same time as another fault, and in the same way.
+    """
+    evidence, half = own.candidate.evidence, real(0.5, most)
+    reported: bool = evidence > confirm and evidence > half * most
+    return reported
+
+
+@firmware
+def find_by_echo(
+    table: Table, state: layout.State, own: signatures.One, echo: Echo, fault: int
+) -> None:
+    """Record that ``echo`` tells the truth about a ``fault``, or no longer does."""
+    believe(table, state, echo, own.candidate, own.answer)
+    hypotheses = state.hypotheses
+    begin_all(hypotheses.signatures)
+    hypotheses.found_size = 0.0
+    hypotheses.found = fault
+    hypotheses.verdict = NOTHING
+
+
+@firmware
 def standing(table: Table, state: layout.State) -> int:
     """The standing verdict of the last tick, without a new finding."""
     own = state.hypotheses
@@ -206,6 +256,11 @@ def standing(table: Table, state: layout.State) -> int:
         return verdict
     if verdict == SENSOR_FROZEN and own.frozen.repetitions > real(0.0, own.found_size):
         return verdict
+    working = table.echoes.working
+    if verdict == TORQUE_OFFSET and works(state.echoes.channel_1, working):
+        verdict = NOTHING
+    if verdict == FORCE_LOST and works(state.echoes.channel_2, working):
+        verdict = NOTHING
     if verdict == TORQUE_LOST or verdict > SENSOR_DRIFTING:
         verdict = NOTHING
     return verdict

@@ -1,0 +1,255 @@
+"""Echoes: the actuators report their outputs; commands and reports must agree.
+
+An echo is an actuator's own report of its output. The law models the output of a healthy actuator
+from the commands, so the error
+
+    e = modelled output - echo
+
+is the missing output of the actuator, whatever the fault: lost, late, stuck, oscillating, or
+obedient to foreign commands. e adds G v to d̂, with v the command that a healthy actuator turns into
+e: a signature with only its share unknown. An echo alone proves nothing, because an echo may be
+wrong or repeat the command: the evidence comes from d̂ (``hypotheses``). Once the evidence is
+enough, the law *believes* the echo: G v leaves d̂, and F̂ gets the missing output of actuator 1. A
+believed echo that turns out to be wrong is found by the same signature with the opposite sign.
+
+Between two echoes e stays. An echo that stays away for long gives no information.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated
+
+from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision import candidate
+from firmware_model.law.filters import biquad, whitener
+from firmware_model.law.filters.biquad import advance, output
+from firmware_model.law.filters.whitener import add_signal, settle_whitener, whiten
+from firmware_model.law.precision import real
+from firmware_model.law.structs import MAX_SECTIONS, FloatArray, RecordArray, Struct
+
+if TYPE_CHECKING:
+    from firmware_model.law import layout
+    from firmware_model.law.layout import Table
+
+
+KEPT_TICKS = 64
+
+
+class Actuator(Struct):
+    """Constants of an actuator."""
+
+    stage: Annotated[whitener.Constants, "1", "from its command to its output"]
+    dead_ticks: Annotated[int, "tick", "its dead time"]
+    lead: Annotated[float, "1", "change of v over change of e; 1 for v = e"]
+
+
+class Constants(Struct):
+    """Constants."""
+
+    actuator_1: Annotated[Actuator, "1", "actuator 1"]
+    actuator_2: Annotated[Actuator, "1", "actuator 2"]
+    share: Annotated[candidate.Limits, "1", "limits of the share of e in d̂"]
+    wrong: Annotated[candidate.Limits, "1", "the limits where the echo is believed"]
+    response_1: Annotated[float, "tick", "from a loss of channel 1 until its echo must show it"]
+    longest: Annotated[int, "tick", "largest age of an echo that counts; 0: no actuator reports"]
+    working: Annotated[int, "1", "echoes without a fault that end the belief"]
+
+
+class Echo(Struct):
+    """What one actuator reports."""
+
+    stage: Annotated[whitener.State, "command", "state of the actuator"]
+    outputs: Annotated[FloatArray, "command", "ring of the modelled output", (KEPT_TICKS,)]
+    error: Annotated[float, "command", "e"]
+    before: Annotated[float, "command", "e of the tick before"]
+    missing: Annotated[float, "command²", "fading Σ e · output over the echoes"]
+    off: Annotated[float, "command²", "fading Σ e² over the echoes"]
+    power: Annotated[float, "command²", "fading Σ output² over the echoes"]
+    good: Annotated[int, "1", "echoes without a fault, one after another"]
+    sampled: Annotated[float, "tick", "since the sample of the last echo"]
+    left: Annotated[int, "tick", "for so long the last echo counts; 0: no echo"]
+    believed: Annotated[int, "1", "1: e is known to be missing"]
+    known: Annotated[biquad.State, "y", "state of G driven by the believed v"]
+    previous: Annotated[float, "y", "its output in the last tick"]
+
+
+class State(Struct):
+    """State."""
+
+    channel_1: Annotated[Echo, "1", "of actuator 1"]
+    channel_2: Annotated[Echo, "1", "of actuator 2"]
+    index: Annotated[int, "1", "index of the newest output in the rings"]
+
+
+@firmware
+def hear(table: Table, state: layout.State, channel: float, echo: float, age_ticks: float) -> None:
+    """Take in an echo, before the ``step`` of its tick.
+
+    Args:
+        table: the constant table.
+        state: changed in place.
+        channel: 1 or 2.
+        echo: the output of the actuator, in the unit of its command.
+        age_ticks: ticks since the sample of the echo; below ``KEPT_TICKS``, or the echo is ignored.
+    """
+    value = real(echo, state.command_1)
+    age = real(age_ticks, value)
+    if not (math.isfinite(value) and age >= 0.0 and age < real(KEPT_TICKS, value)):
+        return
+    index = (state.echoes.index + KEPT_TICKS - int(age)) % KEPT_TICKS
+    if channel == 1.0:
+        take_echo(table.echoes, state.echoes.channel_1, index, value, age)
+    elif channel == 2.0:
+        take_echo(table.echoes, state.echoes.channel_2, index, value, age)
+
+
+@firmware
+def take_echo(constants: Constants, own: Echo, index: int, echo: float, age: float) -> None:
+    """Compare an echo of ``age`` ticks with the output at ``index`` of the ring."""
+    modelled, half = own.outputs[index], real(0.5, echo)
+    error = modelled - echo
+    own.error = error
+    own.missing = half * own.missing + modelled * error
+    own.off = half * own.off + error * error
+    own.power = half * own.power + modelled * modelled
+    own.sampled = age
+    own.left = constants.longest
+    healthy = real(16.0, echo) * own.off < own.power
+    own.good = own.good + 1 if healthy else 0
+    if works(own, constants.working):
+        own.believed = 0
+
+
+@firmware
+def hear_first(
+    tables: RecordArray, states: RecordArray, channel: float, echo: float, age_ticks: float
+) -> None:
+    """``hear`` for the first of the controllers; see ``controller.step_first``."""
+    hear(tables[0], states[0], channel, echo, age_ticks)
+
+
+@firmware
+def advance_echoes(table: Table, state: layout.State) -> None:
+    """A tick on: compute the outputs of the next tick; call before ``advance_model``."""
+    constants, own, estimator = table.echoes, state.echoes, table.estimator
+    if constants.longest == 0:
+        return
+    memory = state.estimator
+    u1, u2 = state.command_1, state.command_2
+    if estimator.latency_ticks > 0:
+        u1 = memory.delay_1[memory.delay_index]
+        u2 = memory.delay_2[memory.delay_index]
+    if constants.actuator_1.dead_ticks > 0:
+        dead = estimator.dead_ticks_1
+        u1 = memory.dead_1[(memory.dead_index_1 + dead - constants.actuator_1.dead_ticks) % dead]
+    if constants.actuator_2.dead_ticks > 0:
+        dead = estimator.dead_ticks_2
+        u2 = memory.dead_2[(memory.dead_index_2 + dead - constants.actuator_2.dead_ticks) % dead]
+    own.index = (own.index + 1) % KEPT_TICKS
+    advance_echo(constants.actuator_1, estimator.channel_1, own.channel_1, u1, own.index)
+    advance_echo(constants.actuator_2, estimator.channel_2, own.channel_2, u2, own.index)
+
+
+@firmware
+def advance_echo(
+    constants: Actuator, channel: biquad.Constants, own: Echo, command: float, index: int
+) -> None:
+    """A tick on: ``command`` acts on the actuator; its next output belongs at ``index``."""
+    own.previous = advance(channel, own.known, believed_command(constants, own))
+    own.before = own.error
+    whiten(constants.stage, own.stage, command)
+    own.outputs[index] = own.stage.memory[0, 0]
+    own.sampled += real(1.0, command)
+    if own.left > 0:
+        own.left -= 1
+    if own.left == 0:
+        own.error = 0.0
+
+
+@firmware
+def missing_command(constants: Actuator, own: Echo) -> float:
+    """Return v, a tick late: the missing command of an actuator of first order."""
+    command: float = own.before + constants.lead * (own.error - own.before)
+    return command
+
+
+@firmware
+def believed_command(constants: Actuator, own: Echo) -> float:
+    """Return v where the echo is believed, otherwise 0."""
+    command: float = real(0.0, own.error)
+    if own.believed == 1:
+        command = missing_command(constants, own)
+    return command
+
+
+@firmware
+def known_output(constants: Actuator, channel: biquad.Constants, own: Echo) -> float:
+    """The output that is known to be missing in y of this tick: G of the believed v."""
+    missing: float = output(channel, own.known, believed_command(constants, own))
+    return missing
+
+
+@firmware
+def believe(
+    table: Table, state: layout.State, own: Echo, row: candidate.State, answer: biquad.State
+) -> None:
+    """Believe the echo from the onset of its signature on; a believed echo, no longer.
+
+    Args:
+        table: the constant table.
+        state: changed in place.
+        own: the echo.
+        row: the fit of its signature to d̂.
+        answer: the state of G that makes the signature.
+    """
+    sign = real(1.0, own.error)
+    if own.believed == 1:
+        sign = -sign
+    for i in range(MAX_SECTIONS):
+        for j in range(2):
+            own.known.accumulators[i, j] += sign * answer.accumulators[i, j]
+    for i in range(table.mismatch.n):
+        state.mismatch.theta[i] -= sign * row.explained[i]
+    add_signal(table.mismatch.whitener, state.mismatch.white.fading, sign, row.white)
+    own.believed = 1 - own.believed
+    own.good = 0
+
+
+@firmware
+def says_lost(own: Echo) -> bool:
+    """Whether the last echoes miss a quarter of the actuator's output."""
+    quarter = real(0.25, own.power)
+    lost: bool = own.left > 0 and own.missing > quarter * own.power
+    return lost
+
+
+@firmware
+def works(own: Echo, working: int) -> bool:
+    """Whether so many echoes have reported a ``working`` actuator, one after another."""
+    return own.left > 0 and working > 0 and own.good >= working
+
+
+@firmware
+def denies(constants: Constants, own: Echo, age: float) -> bool:
+    """Whether the last echoes deny a loss that is ``age`` ticks old."""
+    enough: bool = own.left > 0 and age - own.sampled > constants.response_1
+    return enough and not says_lost(own)
+
+
+@firmware
+def settle_echoes(table: Table, state: layout.State) -> None:
+    """The actuators have followed the present commands for long; no echo has come."""
+    constants, own = table.echoes, state.echoes
+    settle_echo(constants.actuator_1, own.channel_1, state.command_1)
+    settle_echo(constants.actuator_2, own.channel_2, state.command_2)
+
+
+@firmware
+def settle_echo(constants: Actuator, own: Echo, command: float) -> None:
+    """The actuator has followed ``command`` for long."""
+    settle_whitener(constants.stage, own.stage, command)
+    own.outputs[:] = command
+    own.known.accumulators[:] = 0.0
+    own.error = own.before = own.missing = own.off = own.power = own.sampled = own.previous = 0.0
+    own.good = own.left = own.believed = 0
