@@ -169,6 +169,13 @@ def test_the_curves_of_a_second_run_are_its_own_and_dotted(page, runs, tmp_path)
         assert np.array_equal(values[known], table["force_difference_n"].astype(np.float32))
         assert np.isnan(values[~known]).all()
     assert len(drawn["time"]) == 800
+    track = page.evaluate("(async () => columns(run.scene))()")
+    opened(page, tmp_path / "b.html", runs / "b")
+    its = page.evaluate("(async () => columns(run.scene))()")
+    same = [its["time"].index(time_s) for time_s in track["time"]]
+    assert track["other_x"] == [its["x"][row] for row in same]
+    assert track["other_y"] == [its["y"][row] for row in same]
+    opened(page, tmp_path / "ab.html", runs / "a", runs / "b")
     lines = page.locator("figure >> nth=0").locator(".key path")
     dashes = {lines.nth(n).get_attribute("stroke-dasharray") for n in range(lines.count())}
     assert "2 3" in dashes
