@@ -116,12 +116,14 @@ def test_a_filter_finds_messages_values_words_and_bytes(page, log, tmp_path):
     intel = [m for m in messages if m.arbitration_id == 256 and not m.is_remote_frame]
     decoded = [cantools.database.load_string(DATABASE, "dbc").decode_message(256, m.data, False)
                for m in intel]  # fmt: skip
+    low, *_, high = sorted(values["Odd"] for values in decoded)[3:-3]
     found = {
         "intel -remote": len(intel),
         "18fef1fe can1": sum(m.arbitration_id == 0x18FEF1FE for m in messages),
         "can2": 0,
         "state=run": sum(values["State"] == 2 for values in decoded),
-        "odd>100.5 odd<=400": sum(100.5 < values["Odd"] <= 400 for values in decoded),
+        f"odd>{low} odd<={high}": sum(low < values["Odd"] <= high for values in decoded),
+        f"odd>={low} odd<{high}": sum(low <= values["Odd"] < high for values in decoded),
         f"data={bytes(intel[3].data[2:5]).hex()}": sum(
             bytes(intel[3].data[2:5]) in bytes(m.data) for m in messages
         ),
