@@ -49,7 +49,7 @@ def command(asked: Asked, other: Path | None, out: Path | None, force: bool) -> 
     if other is None:
         text = page_of(titles[0], recordings[0])
     else:
-        text = page_of("A {} (lines), B {} (dotted)".format(*titles), overlaid(*recordings))
+        text = page_of(f"A: {asked.path}, lines; B: {other}, dotted", overlaid(*recordings))
     if out is None:
         out = Path(tempfile.mkdtemp(prefix="can-rig-")) / "view.html"
         out.write_text(text, encoding="utf-8")

@@ -13,7 +13,7 @@ from typing import Final
 from can_rig.drawing.names import Signal, names_of
 from can_rig.errors import ExportError
 from can_rig.export.c_files import comment, constants_files, plain
-from can_rig.export.law import HEARS, SINGLE, law_files, numbers_of, parts_of, support
+from can_rig.export.law import ECHOES, HEARS, SINGLE, law_files, numbers_of, parts_of, support
 from can_rig.export.prefix import with_prefix
 from can_rig.export.provenance import with_provenance
 from can_rig.export.self_test import DATA, self_test_data
@@ -22,6 +22,7 @@ from can_rig.frames.codec import MessageCodec, RigLayout
 from can_rig.frames.network import Network
 from can_rig.scenario.build import dbc_of, network_of, require_ours
 from can_rig.scenario.driving import controls
+from can_rig.scenario.sensor_settings import ECHOES as ACTUATORS
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import Precision
 
@@ -57,6 +58,8 @@ def application(scenario: Scenario) -> dict[str, str]:
     title = f"The constants of the controller of scenario {scenario.name}."
     law = law_files(precision, of.schedule is not None)
     parts = {*parts_of(law), *((HEARS,) if network.speed else ())}
+    echoes = _echoes(scenario, network)
+    parts |= {ECHOES} if echoes else set()
     parts |= {SINGLE} if precision == "float32" else set()
     header = support(
         HEADER,
@@ -71,11 +74,12 @@ def application(scenario: Scenario) -> dict[str, str]:
         reference=_signal(network.reference, names.output._replace(name="")),
         measurement=_signal(network.feedback, names.output),
     )
+    texts = {**numbers_of(precision), "echoes": str(len(echoes))}
     return {
         **law,
         **constants_files(of.table, title, of.schedule),
         HEADER: header,
-        **{name: support(name, parts, **numbers_of(precision)) for name in BY_HAND},
+        **{name: support(name, parts, **texts) for name in BY_HAND},
         DATA: self_test_data(of, scenario.reference.amplitude_mps2 or 1.0),
         "network.c": _network_source(network, scenario),
     }
@@ -155,21 +159,48 @@ def _network_source(network: Network, scenario: Scenario) -> str:
     lines = [*comment(f"The frames of {dbc_of(scenario).name}."), '#include "ecu.h"', ""]
     lines.append(f"const uint32_t ecu_tick_us = {round(scenario.tick_s * 1e6)};")
     for codec in network.by_role:
-        numbers = {
-            "id": f"0x{codec.frame_id:X}",
-            "data_id": f"0x{codec.data_id:X}",
-            "lsb": repr(codec.lsb),
-            "steps_per_unit": f"{_steps_per_unit(codec)}u",
-            "raw_maximum": str(codec.raw_maximum),
-        }
-        if codec.modes and isinstance(codec.layout, RigLayout):
-            numbers["mode_shift"], numbers["fault_state_shift"] = map(str, codec.layout.shifts)
-            numbers["verdict_bits"] = str(codec.layout.verdict_bits)
         lines += ["", *comment(f"{codec.name}: {_signal(codec)}")]
-        lines.append(f"const struct frame frame_{codec.role} = {{")
-        lines += [f"    .{name} = {value}," for name, value in numbers.items()]
+        lines += [f"const struct frame frame_{codec.role} = {{", *_numbers(codec), "};"]
+    if echoes := _echoes(scenario, network):
+        lines += ["", "const struct ecu_echo_frame ecu_echoes[ECU_ECHOES] = {"]
+        for channel, codec, (period, phase, _) in echoes:
+            lines += [f"    {each}" for each in comment(f"{codec.name}: {_signal(codec)}")]
+            lines += [
+                "    {",
+                "        .frame = {",
+                *(f"        {each}" for each in _numbers(codec)),
+            ]
+            lines.append("        },")
+            lines.append(f"        .channel = {channel}, .period = {period}u, .phase = {phase}u,")
+            lines.append("    },")
         lines.append("};")
     return "\n".join(lines) + "\n"
+
+
+def _echoes(
+    scenario: Scenario, network: Network
+) -> list[tuple[int, MessageCodec, tuple[int, int, int]]]:
+    """Channel, frame and timing of each actuator's echo."""
+    return [
+        (ACTUATORS.index(sensor.measures) + 1, codec, sensor.timing(scenario.tick_s))
+        for sensor, codec in zip(scenario.sensors, network.witnesses, strict=True)
+        if sensor.measures in ACTUATORS
+    ]
+
+
+def _numbers(codec: MessageCodec) -> list[str]:
+    """The initialisers of a ``struct frame``."""
+    numbers = {
+        "id": f"0x{codec.frame_id:X}",
+        "data_id": f"0x{codec.data_id:X}",
+        "lsb": repr(codec.lsb),
+        "steps_per_unit": f"{_steps_per_unit(codec)}u",
+        "raw_maximum": str(codec.raw_maximum),
+    }
+    if codec.modes and isinstance(codec.layout, RigLayout):
+        numbers["mode_shift"], numbers["fault_state_shift"] = map(str, codec.layout.shifts)
+        numbers["verdict_bits"] = str(codec.layout.verdict_bits)
+    return [f"    .{name} = {value}," for name, value in numbers.items()]
 
 
 def _steps_per_unit(codec: MessageCodec) -> int:

@@ -32,8 +32,9 @@ BLENDS: Final = "blends"
 HEARS: Final = "hears"
 NODE: Final = "node"
 SINGLE: Final = "single"
+ECHOES: Final = "echoes"
 """Parts of handwritten files: for designs blended by the speed, for a node that hears a speed, for
-a whole node, for single precision."""
+a whole node, for single precision, for a node that hears what the actuators report."""
 
 
 def support(name: str, parts: Collection[str] = (), **values: str) -> str:

@@ -504,7 +504,7 @@ class EcuNode(AnsweringNode):
         self._ecu = ecu
         speed = () if network.speed is None else (network.speed,)
         self._inputs = (network.reference, network.feedback, *speed)
-        self._wanted = {codec.frame_id for codec in network.inputs}
+        self._wanted = {codec.frame_id for codec in (*network.inputs, *network.witnesses)}
         commands = (network.command_1, network.command_2)
         self._channels = {codec.frame_id: channel for channel, codec in enumerate(commands)}
         self._faults = FrameFaults(scenario, network)

@@ -108,7 +108,8 @@ def _track_of_run(scenario: Scenario) -> Track | None:
 def scene(scenario: Scenario, signals: Signals) -> dict[str, Any] | None:
     """The numbers of the drawing for ``scene.js``: a row for each 20 ms; None: nothing to draw.
 
-    A car has its tracks; another plant has the angle or the position that is its output.
+    A car has its tracks, and ``other`` names the second car; another plant has the angle or the
+    position that is its output.
     """
     if not len(signals):
         return None
@@ -118,7 +119,7 @@ def scene(scenario: Scenario, signals: Signals) -> dict[str, Any] | None:
     found = tracks(scenario, signals) if scenario.plant.is_car or _moves(signals) else None
     if found is not None:
         columns["steering"] = signals.plant.get(STEERING, np.zeros(len(signals)))
-        for prefix, track in zip(("", "lane_", "without_"), found, strict=True):
+        for prefix, track in zip(("", "lane_", "other_"), found, strict=True):
             if track is not None:
                 for name, values in track._asdict().items():
                     columns[prefix + name.rpartition("_")[0]] = values
@@ -130,6 +131,7 @@ def scene(scenario: Scenario, signals: Signals) -> dict[str, Any] | None:
     return {
         **setting,
         "dead": dead_of(scenario),
+        "other": "without compensation",
         "columns": {name: values[::step] for name, values in columns.items()},
     }
 

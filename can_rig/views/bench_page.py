@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -108,7 +108,7 @@ def recording_of_log(
 
 
 def overlaid(a: Recording, b: Recording) -> Recording:
-    """The page of ``a`` with the curves of ``b`` dotted beside, and the events of both.
+    """The page of ``a`` with the curves of ``b`` dotted beside, the events and the cars of both.
 
     A signal that ``a`` lacks, or has with another name or unit, becomes a curve of its own.
     """
@@ -126,7 +126,7 @@ def overlaid(a: Recording, b: Recording) -> Recording:
         beside = f"b:{curve.key}" if curve.key in both else ""
         curves.append((replace(curve, beside=beside), at_common_times(a, values)))
     for curve, values in b.curves:
-        look = replace(curve, key=f"b:{curve.key}", label=f"{curve.label} · B", dash=DOTTED)
+        look = replace(curve, key=f"b:{curve.key}", label=f"B: {curve.label}", dash=DOTTED)
         curves.append((look, at_common_times(b, values)))
     charts = [
         replace(chart, keys=(*chart.keys, *(f"b:{key}" for key in chart.keys if key in both)))
@@ -135,7 +135,27 @@ def overlaid(a: Recording, b: Recording) -> Recording:
     of_b = [{**mark, "text": f"B: {mark['text']}"} for mark in b.marks]
     marks = sorted([*a.marks, *of_b], key=lambda mark: float(mark["time_s"]))
     gaps = a.span_gaps or len(time_s) > max(len(a.time_s), len(b.time_s))
-    return replace(a, time_s=time_s, curves=curves, charts=charts, marks=marks, span_gaps=gaps)
+    return replace(
+        a,
+        time_s=time_s,
+        curves=curves,
+        charts=charts,
+        marks=marks,
+        span_gaps=gaps,
+        scene=_two_cars(a.scene, b.scene),
+    )
+
+
+def _two_cars(a: dict[str, Any] | None, b: dict[str, Any] | None) -> dict[str, Any] | None:
+    """The scene of ``a``, with the car of ``b`` as the other car."""
+    if a is None or b is None or not a["kind"] == b["kind"] == "car":
+        return a
+    own, its = a["columns"], b["columns"]
+    track = {
+        f"other_{name}": np.interp(own["time"], its["time"], its[name])
+        for name in ("x", "y", "heading")
+    }
+    return {**a, "other": "B", "columns": {**own, **track}}
 
 
 def page_of(title: str, of: Recording) -> str:

@@ -80,10 +80,10 @@ class Scene {
     }
     this.line(road, "rule", (LANE_M + 0.3) * scale); this.line(road, "asphalt", LANE_M * scale); this.line(road, "soft", 1, [10, 12]);
     const words = [];
-    if (data.without_x) {
-      this.line(way("without_", i + 1), "orange", 2, [6, 4]);
-      this.body(place(data.without_x[i], data.without_y[i]), data.without_heading[i] - turn, scale, null);
-      words.push([`without compensation ${this.off(i, "without_").toFixed(2)} m off the lane's middle`, "orange"]);
+    if (data.other_x) {
+      this.line(way("other_", i + 1), "orange", 2, [6, 4]);
+      this.body(place(data.other_x[i], data.other_y[i]), data.other_heading[i] - turn, scale, null);
+      if (lane) words.push([`${setting.other} ${this.off(i, "other_").toFixed(2)} m off the lane's middle`, "orange"]);
     }
     this.line(way("", i + 1), "blue", 2.5);
     this.body(place(data.x[i], data.y[i]), data.heading[i] - turn, scale, i);

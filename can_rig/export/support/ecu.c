@@ -29,6 +29,13 @@ static void begin(struct ecu *ecu)
     receiver_begin(&ecu->speed, &frame_speed);
     ecu->speed_offered = false;
 //: end
+//: if echoes
+    for (uint32_t i = 0; i < ECU_ECHOES; i++) {
+        receiver_begin(&ecu->echoes[i].receiver, &ecu_echoes[i].frame);
+        ecu->echoes[i].offered = false;
+        ecu->echoes[i].value = (real)NAN;
+    }
+//: end
     ecu->running = false;
     ecu->wanted = (real)NAN;
     ecu->measured = (real)NAN;
@@ -67,6 +74,14 @@ static bool receive(struct ecu_receiver *receiver, uint16_t tick, uint8_t length
     return false;
 }
 
+static void end_tick(struct ecu_receiver *receiver)
+{
+    if (!receiver->judged) {
+        e2e_no_new_data(&receiver->checker);
+    }
+    receiver->judged = false;
+}
+
 static void take_reference(struct ecu *ecu, uint8_t length, const uint8_t *data)
 {
     if (receive(&ecu->reference, ecu->tick, length, data)) {
@@ -93,6 +108,69 @@ static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
 //: end
 //: end
 
+//: if echoes
+
+/* Note the content of an echo for this tick; an invalid echo has none. */
+static void take_echo(struct ecu *ecu, uint32_t at, uint8_t length, const uint8_t *data)
+{
+    const struct frame *const frame = &ecu_echoes[at].frame;
+    struct ecu_echo *const echo = &ecu->echoes[at];
+
+    if (receive(&echo->receiver, ecu->tick, length, data)) {
+        const uint32_t sample = (uint32_t)data[4] | (uint32_t)data[5] << 8;
+        const uint32_t most = (1u << frame->verdict_bits) - 1u;
+        const bool valid = ((uint32_t)data[1] >> frame->mode_shift & 1u) != 0u;
+
+        echo->value = valid ? frame_value(frame, data) : (real)NAN;
+        echo->age = (real)((ecu->tick - sample) & most);
+    }
+}
+
+/* Whether 'id' is of an echo, which is noted. */
+static bool is_echo(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data)
+{
+    for (uint32_t i = 0; i < ECU_ECHOES; i++) {
+        struct ecu_echo *const echo = &ecu->echoes[i];
+
+        if (id == ecu_echoes[i].frame.id) {
+            if (ecu->running) {
+                take_echo(ecu, i, length, data);
+            } else {
+                echo->offered = true;
+                echo->first_length = length;
+                (void)memcpy(echo->first, data, length < 8 ? length : 8);
+            }
+            return true;
+        }
+    }
+    return false;
+}
+
+static void hear_echoes(struct ecu *ecu)
+{
+    for (uint32_t i = 0; i < ECU_ECHOES; i++) {
+        struct ecu_echo *const echo = &ecu->echoes[i];
+
+        if (isnan(echo->value) == 0) {
+            firmware_hear(&ecu->state, (real)ecu_echoes[i].channel, echo->value, echo->age);
+        }
+        echo->value = (real)NAN;
+    }
+}
+
+static void end_tick_of_echoes(struct ecu *ecu)
+{
+    for (uint32_t i = 0; i < ECU_ECHOES; i++) {
+        const struct ecu_echo_frame *const of = &ecu_echoes[i];
+
+        if (ecu->ticks >= of->phase && (ecu->ticks - of->phase) % of->period == 0u) {
+            end_tick(&ecu->echoes[i].receiver);
+        }
+    }
+    ecu->ticks++;
+}
+//: end
+
 /* Whether this is the first feedback: intact, and of the tick of the reference before it.
  *
  * One frame of 256 that another sender makes up has the right CRC, and would do where the tick is
@@ -114,6 +192,11 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
         return false;
     }
 //: end
+//: if echoes
+    if (is_echo(ecu, id, length, data)) {
+        return false;
+    }
+//: end
     if (id != frame_feedback.id || !ecu->offered ||
         !e2e_intact(&ecu->feedback.checker, data, length) ||
         !e2e_intact(&ecu->reference.checker, ecu->first, ecu->first_length) ||
@@ -126,6 +209,14 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
 //: if hears
     if (ecu->speed_offered) {
         take_speed(ecu, ecu->first_speed_length, ecu->first_speed);
+    }
+//: end
+//: if echoes
+    ecu->ticks = ecu->tick;
+    for (uint32_t i = 0; i < ECU_ECHOES; i++) {
+        if (ecu->echoes[i].offered) {
+            take_echo(ecu, i, ecu->echoes[i].first_length, ecu->echoes[i].first);
+        }
     }
 //: end
     return true;
@@ -142,6 +233,10 @@ bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *d
 //: if hears
     } else if (id == frame_speed.id) {
         take_speed(ecu, length, data);
+//: end
+//: if echoes
+    } else if (is_echo(ecu, id, length, data)) {
+        /* noted */
 //: end
     } else if (id == frame_feedback.id && receive(&ecu->feedback, ecu->tick, length, data)) {
         ecu->measured = frame_value(&frame_feedback, data);
@@ -195,18 +290,15 @@ static void answer(struct ecu *ecu, uint8_t stage, const struct frame *frame,
     pass(ecu, stage);
 }
 
-static void end_tick(struct ecu_receiver *receiver)
-{
-    if (!receiver->judged) {
-        e2e_no_new_data(&receiver->checker);
-    }
-    receiver->judged = false;
-}
-
 void ecu_on_tick(struct ecu *ecu)
 {
     const bool wanted = ecu->wanted_tick == ecu->tick;
     const real reference = wanted ? ecu->wanted : (real)NAN;
+//: if echoes
+
+    hear_echoes(ecu);
+
+//: end
     const struct firmware_answer now =
         firmware_step(&ecu->state, reference, ecu->measured);
     const uint8_t bits = (uint8_t)((uint32_t)now.mode << frame_status.mode_shift |
@@ -221,6 +313,9 @@ void ecu_on_tick(struct ecu *ecu)
     end_tick(&ecu->feedback);
 //: if hears
     end_tick(&ecu->speed);
+//: end
+//: if echoes
+    end_tick_of_echoes(ecu);
 //: end
     pass(ecu, 4);
     ecu->measured = (real)NAN;

@@ -23,6 +23,29 @@ struct ecu_receiver {
     bool judged; /* whether the checker has judged a frame of this tick */
 };
 
+//: if echoes
+/* What the DBC and the scenario say of an actuator's echo. */
+struct ecu_echo_frame {
+    struct frame frame; /* mode_shift: of the validity; the verdict: the tick of the sample */
+    uint8_t channel;
+    uint32_t period; /* in ticks, from tick 'phase' on */
+    uint32_t phase;
+};
+
+#define ECU_ECHOES {echoes}u
+extern const struct ecu_echo_frame ecu_echoes[ECU_ECHOES];
+
+/* The receiving end of an echo. */
+struct ecu_echo {
+    struct ecu_receiver receiver;
+    bool offered;     /* whether an echo came before the first contact: */
+    uint8_t first[8]; /* its bytes */
+    uint8_t first_length;
+    real value; /* of this tick; NAN until one is accepted */
+    real age;   /* ticks since its sample */
+};
+
+//: end
 /* Everything that a controller node remembers. */
 struct ecu {
 //: if blends
@@ -40,6 +63,10 @@ struct ecu {
     bool speed_offered;     /* whether a speed came before the first contact: */
     uint8_t first_speed[8]; /* its bytes */
     uint8_t first_speed_length;
+//: end
+//: if echoes
+    struct ecu_echo echoes[ECU_ECHOES];
+    uint32_t ticks; /* the next tick, counted on beyond 16 bits */
 //: end
     bool is_fit;          /* whether the self-test succeeded; else the node takes in no frame */
     bool running;         /* whether the first contact has said which tick it is */

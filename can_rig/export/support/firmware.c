@@ -5,6 +5,9 @@
 #include "constants.h"
 #include "controller.h"
 #include "crc.h"
+//: if echoes
+#include "echoes.h"
+//: end
 #include "self_test.h"
 
 //: if blends
@@ -89,6 +92,20 @@ void firmware_reset(struct layout_state *state, real reference)
 //: end
 }
 
+//: if echoes
+//: if blends
+void firmware_hear(struct firmware_memory *memory, real channel, real echo, real age)
+{
+    echoes_hear(&memory->table, &memory->state, channel, echo, age);
+}
+//: else
+void firmware_hear(struct layout_state *state, real channel, real echo, real age)
+{
+    echoes_hear(&controller_table, state, channel, echo, age);
+}
+//: end
+
+//: end
 //: if blends
 void firmware_change_speed(struct firmware_memory *memory, real speed)
 //: else

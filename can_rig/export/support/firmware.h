@@ -102,6 +102,20 @@ void firmware_change_speed(struct firmware_memory *memory, real speed);
 void firmware_reset(struct layout_state *state, real reference);
 //: end
 
+//: if echoes
+/* Say what an actuator reports, before the firmware_step of a tick.
+ *
+ * channel: 1 or 2
+ * echo: the actuator's output, in the unit of its command
+ * age: ticks since the sample; 64 and more are too old to count
+ */
+//: if blends
+void firmware_hear(struct firmware_memory *memory, real channel, real echo, real age);
+//: else
+void firmware_hear(struct layout_state *state, real channel, real echo, real age);
+//: end
+
+//: end
 /* One tick.
  *
  * reference: {reference}

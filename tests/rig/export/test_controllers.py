@@ -159,6 +159,18 @@ def test_the_node_in_c_sends_the_same_bytes(kind: str) -> None:
     assert python == log_of("default", faulty(kind), node)
 
 
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_the_node_in_c_hears_what_the_actuators_report(precision: str) -> None:
+    settings = [
+        "duration_s=2.5", "fault.at_s=1.2", f'design.precision="{precision}"',
+        'fault.kind="actuator-oscillating"', 'fault.channel="force-difference"',
+        "fault.amplitude=1500", "fault.frequency_rad_per_s=10",
+    ]  # fmt: skip
+    python = log_of("cluster", settings)
+    assert python != log_of("cluster", [*settings, 'sensor=[{measures="yaw-rate"}]'])
+    assert python == log_of("cluster", settings, controller_of("ecu", load("cluster", settings)))
+
+
 @EMULATED
 @pytest.mark.parametrize(
     ("board", "precision", "kind"),

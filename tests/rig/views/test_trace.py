@@ -116,12 +116,14 @@ def test_a_filter_finds_messages_values_words_and_bytes(page, log, tmp_path):
     intel = [m for m in messages if m.arbitration_id == 256 and not m.is_remote_frame]
     decoded = [cantools.database.load_string(DATABASE, "dbc").decode_message(256, m.data, False)
                for m in intel]  # fmt: skip
+    low, *_, high = sorted(values["Odd"] for values in decoded)[3:-3]
     found = {
         "intel -remote": len(intel),
         "18fef1fe can1": sum(m.arbitration_id == 0x18FEF1FE for m in messages),
         "can2": 0,
         "state=run": sum(values["State"] == 2 for values in decoded),
-        "odd>100.5 odd<=400": sum(100.5 < values["Odd"] <= 400 for values in decoded),
+        f"odd>{low} odd<={high}": sum(low < values["Odd"] <= high for values in decoded),
+        f"odd>={low} odd<{high}": sum(low <= values["Odd"] < high for values in decoded),
         f"data={bytes(intel[3].data[2:5]).hex()}": sum(
             bytes(intel[3].data[2:5]) in bytes(m.data) for m in messages
         ),
@@ -169,6 +171,13 @@ def test_the_curves_of_a_second_run_are_its_own_and_dotted(page, runs, tmp_path)
         assert np.array_equal(values[known], table["force_difference_n"].astype(np.float32))
         assert np.isnan(values[~known]).all()
     assert len(drawn["time"]) == 800
+    track = page.evaluate("(async () => columns(run.scene))()")
+    opened(page, tmp_path / "b.html", runs / "b")
+    its = page.evaluate("(async () => columns(run.scene))()")
+    same = [its["time"].index(time_s) for time_s in track["time"]]
+    assert track["other_x"] == [its["x"][row] for row in same]
+    assert track["other_y"] == [its["y"][row] for row in same]
+    opened(page, tmp_path / "ab.html", runs / "a", runs / "b")
     lines = page.locator("figure >> nth=0").locator(".key path")
     dashes = {lines.nth(n).get_attribute("stroke-dasharray") for n in range(lines.count())}
     assert "2 3" in dashes
