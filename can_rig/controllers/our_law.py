@@ -53,7 +53,9 @@ class OurLaw:
 
     def take_over(self, inputs: Inputs, at_rest: bool) -> None:
         """See ``NodeController``."""
+        known = self.firmware.saved()
         self.firmware.begin(at_rest)
+        self.firmware.restore(known)
 
     def saved(self) -> bytes:
         """See ``NodeController``."""

@@ -4,6 +4,9 @@
 
 #include "self_test.h"
 
+#define STAGES 5u /* of a tick: the law, three frames, the inputs */
+#define ASTRAY 255u
+
 /* Know nothing of the sender; what has been counted stays. */
 static void receiver_begin(struct ecu_receiver *receiver, const struct frame *frame)
 {
@@ -254,14 +257,24 @@ bool ecu_is_overdue(struct ecu *ecu, uint32_t now_us)
         return false;
     }
     if (late_us > ECU_MOST_LATE_TICKS * ecu_tick_us) {
+        struct knowledge_saved known;
+
         ecu->stalls++;
+        firmware_save(&ecu->state, &known);
         begin(ecu);
+        (void)firmware_restore(&ecu->state, &known);
         return false;
     }
     return true;
 }
 
-static void answer(const struct ecu *ecu, const struct frame *frame,
+/* A checkpoint of the program flow: a stage that comes too early, or twice, spoils the tick. */
+static void pass(struct ecu *ecu, uint8_t stage)
+{
+    ecu->flow = ecu->flow == stage ? (uint8_t)(stage + 1u) : (uint8_t)ASTRAY;
+}
+
+static void answer(struct ecu *ecu, uint8_t stage, const struct frame *frame,
                    struct e2e_protector *protector, real value, uint8_t status_bits,
                    uint8_t verdict)
 {
@@ -274,6 +287,7 @@ static void answer(const struct ecu *ecu, const struct frame *frame,
     if (ecu->is_fit) {
         ecu_send(ecu, frame->id, data);
     }
+    pass(ecu, stage);
 }
 
 void ecu_on_tick(struct ecu *ecu)
@@ -290,9 +304,10 @@ void ecu_on_tick(struct ecu *ecu)
     const uint8_t bits = (uint8_t)((uint32_t)now.mode << frame_status.mode_shift |
                                    (uint32_t)now.fault_state << frame_status.fault_state_shift);
 
-    answer(ecu, &frame_command_1, &ecu->command_1, now.command_1, 0, 0);
-    answer(ecu, &frame_command_2, &ecu->command_2, now.command_2, 0, 0);
-    answer(ecu, &frame_status, &ecu->status, now.fault_estimate, bits,
+    pass(ecu, 0);
+    answer(ecu, 1, &frame_command_1, &ecu->command_1, now.command_1, 0, 0);
+    answer(ecu, 2, &frame_command_2, &ecu->command_2, now.command_2, 0, 0);
+    answer(ecu, 3, &frame_status, &ecu->status, now.fault_estimate, bits,
            (uint8_t)now.verdict);
     end_tick(&ecu->reference);
     end_tick(&ecu->feedback);
@@ -302,8 +317,12 @@ void ecu_on_tick(struct ecu *ecu)
 //: if echoes
     end_tick_of_echoes(ecu);
 //: end
+    pass(ecu, 4);
     ecu->measured = (real)NAN;
     ecu->tick++;
-    ecu->alive++;
+    if (ecu->flow == STAGES) {
+        ecu->alive++;
+    }
+    ecu->flow = 0;
     ecu->expected_us += ecu_tick_us;
 }

@@ -78,7 +78,8 @@ struct ecu {
     bool offered;         /* whether a reference came before the first contact: */
     uint8_t first[8];     /* its bytes */
     uint8_t first_length;
-    uint32_t alive;  /* ticks answered since power-up, for a watchdog */
+    uint8_t flow;    /* stages of this tick that were passed in order */
+    uint32_t alive;  /* ticks with all stages in order since power-up, for a watchdog */
     uint32_t stalls; /* standstills of more than ECU_MOST_LATE_TICKS since power-up */
 };
 
@@ -107,7 +108,8 @@ bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *d
 /* Whether the feedback is half a tick late: never before the first contact.
  *
  * After a standstill of more than ECU_MOST_LATE_TICKS the node makes up for nothing: it counts a
- * stall, waits for the next first contact, and takes over a plant that moves, as after power-up.
+ * stall, waits for the next first contact, and takes over a plant that moves, as after power-up but
+ * with what it knew.
  */
 bool ecu_is_overdue(struct ecu *ecu, uint32_t now_us);
 

@@ -52,6 +52,8 @@ from can_rig.frames.codec import Transmitter
 from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
+from firmware_model.law.knowledge import Saved
+from firmware_model.law.structs import record_type
 from tests.rig.export.conftest import Built
 from tests.rig.export.shared import EMULATED, log_of
 
@@ -253,7 +255,7 @@ def test_an_emulator_that_ends_is_one_line(tmp_path: Path) -> None:
 
 @EMULATED
 def test_single_precision_calls_no_double_arithmetic() -> None:
-    """In the law: the frames' own conversion is double, as their resolution needs it."""
+    """In the law and where a command is packed; 32 received bits need a product in double."""
     image = firmware_image(load("noisy", faulty("none", "float32")), "m4f")
     text = subprocess.run(
         ["arm-none-eabi-objdump", "-d", "--no-show-raw-insn", str(image)],
@@ -263,12 +265,12 @@ def test_single_precision_calls_no_double_arithmetic() -> None:
     of_law = {
         name: body
         for name, body in functions.items()
-        if name.startswith(("controller_", "biquad_", "mismatch_", "decision_", "covariance_"))
+        if name.startswith(("controller_", "biquad_", "mismatch_", "covariance_", "frame_pack"))
     }
     assert len(of_law) > 10
     for name, body in of_law.items():
         assert not re.search(r"__aeabi_d|__aeabi_f2d|\.f64", body), name
-    assert "__aeabi_ddiv" in functions["frame_pack"] or "__aeabi_ddiv" in text
+    assert "__aeabi_dmul" in text
 
 
 def test_real_time_needs_a_node_of_ours(tmp_path: Path) -> None:
@@ -286,6 +288,7 @@ def test_a_controller_that_is_none_is_refused(name: str, tmp_path: Path) -> None
 # --- the node by the clock -----------------------------------------------------------------------
 
 TICK_US = 2000
+SAVED_BYTES = record_type(Saved, "float64").itemsize
 DRIVER = """
 #include <stddef.h>
 #include "ecu.h"
@@ -363,7 +366,7 @@ def test_a_node_that_stood_still_sends_no_burst() -> None:
 
     def tick(number: int, now_us: int) -> None:
         for end in ends:
-            data = bytes(end.frame(0.5, number).data)
+            data = bytes(end.frame(0.01 * (number % 50), number).data)
             now = ctypes.c_uint32(now_us)
             if library.ecu_on_frame(ecu, end.codec.frame_id, len(data), data, now):
                 library.ecu_on_tick(ecu)
@@ -381,13 +384,17 @@ def test_a_node_that_stood_still_sends_no_burst() -> None:
         library.ecu_init(ecu)
         sent.clear()
         ends = [Transmitter(network.reference), Transmitter(network.feedback)]
-        for number in range(20):
+        for number in range(200):
             tick(number, number * TICK_US)
-        now_us = 20 * TICK_US + late_us
+        now_us = 200 * TICK_US + late_us
+        known, kept = (ctypes.create_string_buffer(SAVED_BYTES) for _ in range(2))
+        library.ecu_save(ecu, known)
         while library.ecu_is_overdue(ecu, ctypes.c_uint32(now_us)):
             library.ecu_on_tick(ecu)
         stalled = late_us > 16 * TICK_US
-        assert (len(sent) // 3 - 20, library.ecu_stalls(ecu)) == (made_up, stalled)
+        assert (len(sent) // 3 - 200, library.ecu_stalls(ecu)) == (made_up, stalled)
+        library.ecu_save(ecu, kept)
+        assert any(known.raw[16:]) and (kept.raw == known.raw or not stalled)
         first = now_us // TICK_US + 1
         for number in range(first, first + 30):
             tick(number, number * TICK_US)
@@ -465,3 +472,28 @@ def test_a_port_that_is_none_is_one_line(tmp_path: Path) -> None:
         tmp_path, "--in-process", "--controller", f"{SERIAL}{tmp_path}/none"
     ).splitlines()
     assert f"{tmp_path}/none: cannot be opened as a serial port" in line
+
+
+FIRST, SECOND = (
+    f"    answer(ecu, {n}, &frame_command_{n}, &ecu->command_{n}, now.command_{n}, 0, 0);\n"
+    for n in (1, 2)
+)
+
+
+@pytest.mark.parametrize(
+    ("flow", "counted"),
+    [(FIRST + SECOND, 5), (SECOND, 0), (SECOND + FIRST, 0), (FIRST + SECOND + SECOND, 0)],
+    ids=["whole", "left out", "swapped", "repeated"],
+)
+def test_only_a_tick_with_all_its_stages_in_order_is_alive(flow: str, counted: int) -> None:
+    node = application(load("default", ["duration_s=1"]))
+    assert FIRST + SECOND in node["ecu.c"]
+    node |= {"driver.c": DRIVER, "ecu.c": node["ecu.c"].replace(FIRST + SECOND, flow)}
+    library = ctypes.CDLL(str(shared_library(node)))
+    sender = Sender(lambda *_: None)
+    library.set_sender(sender)
+    ecu = ctypes.create_string_buffer(library.ecu_size())
+    library.ecu_init(ecu)
+    for _ in range(5):
+        library.ecu_on_tick(ecu)
+    assert library.ecu_alive(ecu) == counted
