@@ -44,6 +44,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from struct import Struct
+from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -270,7 +271,8 @@ class Hearing:
         self.receivers: Final = tuple(Receiver(codec) for codec in codecs)
         self._timings, self._names = timings, names
         self._ids = {codec.frame_id for codec in codecs}
-        self._now = nothing_heard(names)
+        self._silence: Final = MappingProxyType(nothing_heard(names))
+        self._now: dict[str, float] = {}
 
     def concerns(self, message: Message) -> bool:
         """Whether ``message`` has the identifier of a further sensor."""
@@ -286,6 +288,7 @@ class Hearing:
                 continue
             record, says = receiver.accept(message, tick), receiver.codec.modes
             if record is not None:
+                self._now = self._now or nothing_heard(self._names)
                 self._now[name] = record.value if record.mode or not says else math.nan
                 age = (record.tick - record.verdict) % (1 << SAMPLE_BITS)
                 self._now[name + AGE] = age if says else math.nan
@@ -297,7 +300,7 @@ class Hearing:
         for receiver, (period, phase, _) in zip(self.receivers, self._timings, strict=True):
             if tick >= phase and (tick - phase) % period == 0:
                 receiver.end_tick()
-        found, self._now = self._now, nothing_heard(self._names)
+        found, self._now = self._now or self._silence, {}
         return found
 
 

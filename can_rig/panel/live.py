@@ -6,8 +6,8 @@ import math
 import time
 from bisect import bisect_right
 from collections import Counter, deque
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 import can
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.frame_length import FrameError, worst_case_bits
+from can_rig.controllers.protocol import echoes_in
 from can_rig.drawing.names import names_of, printed, with_unit
 from can_rig.drawing.thinning import BUCKET_S, Decimator
 from can_rig.errors import one_line
@@ -24,7 +25,7 @@ from can_rig.frames.network import Network
 from can_rig.logs.columns import EVIDENCE
 from can_rig.plant.faults.injection import injected
 from can_rig.results.isolation import Reasoning, in_words
-from can_rig.results.signals import SignalRows
+from can_rig.results.signals import CODES, ROLE_COLUMNS, SignalRows
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import Verdict
 from firmware_model.law.structs import FloatArray
@@ -184,8 +185,7 @@ class LiveSignals:
         self._status = network.status
         names, says = names_of(scenario.plant), bool(network.status.verdicts)
         self._verdicts = {int(v): in_words(v, names) for v in Verdict if says}
-        shown = replace(network, witnesses=(), periods=())
-        self._rows = SignalRows(shown, scenario.tick_s, max(1, scenario.latency_ticks))
+        self._rows = SignalRows(network, scenario.tick_s, max(1, scenario.latency_ticks))
         bucket = max(1, round(BUCKET_S / scenario.tick_s))
         self._decimator = Decimator(bucket, len(COLUMNS))
         self._nodes = {
@@ -257,6 +257,7 @@ class LiveSignals:
             if said is not None and math.isfinite(said.value):
                 self.lamps.speed_mps = said.value
         elif message.arbitration_id in self._of_sensors:
+            self._rows.take(message)
             for receiver in self._witnesses:
                 if receiver.codec.frame_id == message.arbitration_id:
                     self._hear_sensor(receiver, message)
@@ -315,17 +316,25 @@ class LiveSignals:
         return self._applied.pop(tick, (np.nan, np.nan))
 
     def _row(self, tick: int, *heard: float) -> tuple[float, ...]:
-        evidence = self._evidence(tick, *heard[:4])
+        said, further = heard[: ROLE_COLUMNS + CODES], heard[ROLE_COLUMNS + CODES :]
+        names = (*self._rows.sensors, *self._rows.echo_ages)
+        echoes = echoes_in(dict(zip(names, further, strict=True)))
+        evidence = self._evidence(tick, echoes, *heard[:4])
         return (
             tick * self._scenario.tick_s,
-            *heard,
+            *said,
             *self._applied_in(tick),
             *evidence,
             *self._motion.pop(tick, NO_MOTION),
         )
 
     def _evidence(
-        self, tick: int, reference: float, measured: float, *sent: float
+        self,
+        tick: int,
+        echoes: Iterable[tuple[int, float, float]],
+        reference: float,
+        measured: float,
+        *sent: float,
     ) -> Sequence[float]:
         """The evidence for each hypothesis, from a second control law fed with the received frames.
 
@@ -336,7 +345,7 @@ class LiveSignals:
             self._reasoning = None
             return UNKNOWN
         self._next_tick += 1
-        _, evidence = self._reasoning.take(tick, reference, measured)
+        _, evidence = self._reasoning.take(tick, reference, measured, echoes)
         for own, its, lsb in zip(self._reasoning.commands, sent, self._lsbs, strict=True):
             if abs(own - its) > max(0.5 * lsb, FLOAT_FRAME * abs(own)):
                 self._reasoning = None

@@ -211,6 +211,9 @@ class Simulation:
         table = cast("Table", controller if ours else np.zeros((), table_type())[()])
         state = law.init(table) if at_rest is None else at_rest
         self._table, self._at_rest = table, state
+        self._latency_ticks = int(
+            table.estimator.latency_ticks if self._other is None else self._other.latency_ticks
+        )
         self._hears = hears
         self._restarts = tuple(restarts)
         tables = np.asarray(table).reshape(1)
@@ -317,9 +320,7 @@ class Simulation:
         return carry(other.latency_ticks, inputs, grid, actuators, signals, k)
 
     def _told(self, k: int) -> tuple[float, float]:
-        other = self._other
-        latency = self._table.estimator.latency_ticks if other is None else other.latency_ticks
-        sent = k - int(latency)
+        sent = k - self._latency_ticks
         if sent < 0:
             return 0.0, 0.0
         return self._signals.item(ACTING_1, sent), self._signals.item(ACTING_1 + 1, sent)
