@@ -67,7 +67,7 @@ def fill_hypotheses(table: Table, target: Target) -> None:
 def fill_echoes(echoes: EchoesConstants, actuators: tuple[Stage, Stage], tick_s: float) -> None:
     """Both actuators between commands that arrive at ticks, with their commands held between."""
     echoes.longest = max(math.ceil(ECHO_S / tick_s), LEAST_ECHO_TICKS)
-    echoes.working = math.ceil(WORKING_S / tick_s)
+    echoes.working = WORKING_ECHOES
     for own, actuator in ((echoes.actuator_1, actuators[0]), (echoes.actuator_2, actuators[1])):
         lag = actuator.transfer_function
         if lag.poles:
@@ -78,10 +78,6 @@ def fill_echoes(echoes: EchoesConstants, actuators: tuple[Stage, Stage], tick_s:
             own.lead = 1.0
             own.stage.n, own.stage.coefficients[0] = 1, (0.0, 1.0, 0.0, 1.0, 0.0)
         own.dead_ticks = round(actuator.dead_time_s / tick_s)
-    slowest_s = max(
-        (-1.0 / pole.real for pole in actuators[0].transfer_function.poles), default=0.0
-    )
-    echoes.response_1 = math.ceil(RESPONSE * slowest_s / tick_s) + 1.0
 
 
 def fill_frozen(frozen: FrozenConstants, target: Target) -> None:
@@ -162,7 +158,6 @@ RESTART = -1.0  # evidence that ends a candidate
 FRESHNESS = 0.1  # least growth of a candidate's information when the age doubles
 DEVIATIONS, NEVER = 3.0, 1e9  # threshold for losses above the model's channel
 SHARE_VARIANCE = 0.09  # of the share at the confirmation of a loss, at most
-DENIED = 10.0  # evidence of a loss over usual evidence, where the echo says that the motor works
 RECOVER = 5.0  # evidence of a return over evidence of a loss
 MOMENT = 0.5  # deviation of a loss's moment, as a part of the time to confirmation
 LEAST_DOUBT = 0.04  # for cars with a G1 20 % off the model
@@ -178,8 +173,7 @@ REMAINDER_S = 0.12  # time constant of the remainder beyond the first order
 WHITE = 0.1  # white part of the remainder
 RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's change of G1 u1
 POWERLESS_S = 0.3  # a car follows large commands sooner
-WORKING_S = 0.5  # of good echoes, one a tick, that end a fault; a rarer echo needs longer
-RESPONSE = 2.0  # time constants of an actuator until its echo misses most of a lost command
+WORKING_ECHOES = 50  # good echoes, one after another, that end a fault
 ECHO_S, LEAST_ECHO_TICKS = 0.1, 5  # an echo that stays away for longer gives no information
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
 
@@ -339,7 +333,6 @@ def _fill_decision(table: Table, target: Target, white: Whitening) -> None:
     """Thresholds for a loss in d̂ and for the return."""
     decision, test = table.decision, table.sequential_test
     decision.confirm = max(target.evidence(target.false_alarms_per_hour), LEAST_EVIDENCE)
-    decision.denied = DENIED * decision.confirm
     decision.recover = RECOVER * decision.confirm
     suspect = max(target.evidence(target.suspicions_per_hour), LEAST_EVIDENCE)
     decision.suspect = min(suspect, decision.confirm)

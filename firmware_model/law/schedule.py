@@ -182,6 +182,11 @@ def turn_models(
     turn(schedule.turn_1, own, state.loss_model.fading, at, way)
     turn(schedule.turn_1, own, state.hypotheses.signatures.torque_offset.answer, at, way)
     turn(schedule.turn_2, own, state.hypotheses.signatures.force_lost.answer, at, way)
+    if table.echoes.longest > 0:
+        turn(schedule.turn_1, own, state.echoes.channel_1.known, at, way)
+        turn(schedule.turn_2, own, state.echoes.channel_2.known, at, way)
+        turn(schedule.turn_1, own, state.hypotheses.signatures.torque_echo.answer, at, way)
+        turn(schedule.turn_2, own, state.hypotheses.signatures.force_echo.answer, at, way)
     cars = state.other_cars
     if table.other_cars.n > 0:
         turn(schedule.turn_1, own, cars.model.channel_1, at, way)

@@ -107,7 +107,6 @@ static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
 }
 //: end
 //: end
-
 //: if echoes
 
 /* Note the content of an echo for this tick; an invalid echo has none. */

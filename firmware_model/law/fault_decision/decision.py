@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer
-from firmware_model.law.fault_decision.echoes import denies, known_output, says_lost
+from firmware_model.law.fault_decision.echoes import known_output, says_lost
 from firmware_model.law.fault_decision.hypotheses.sensor_error import sensor_error_shown
 from firmware_model.law.fault_decision.hypotheses.signatures import begin_all
 from firmware_model.law.fault_decision.hypotheses.verdict import (
@@ -74,7 +74,6 @@ class Constants(Struct):
     recover: Annotated[
         float, "1", "evidence that ends a loss: more, because a return is not urgent"
     ]
-    denied: Annotated[float, "1", "evidence that confirms a loss against the echo of actuator 1"]
     suspect: Annotated[float, "1", "evidence of a suspicion; confirms a candidate of a takeover"]
     horizon: Annotated[float, "tick", "time within which a new loss must show"]
     shown: Annotated[float, "1", "energy of a constant of size 1 behind W within ``horizon``"]
@@ -140,15 +139,16 @@ def is_acquitted(table: Table, state: layout.State) -> bool:
 def needed_evidence(table: Table, state: layout.State) -> float:
     """The evidence that confirms a loss of channel 1.
 
-    Less is needed where the echo of actuator 1 says so too, more where the echo denies the loss.
+    Less is needed where the echo of actuator 1 says so too. An echo that denies the loss counts for
+    nothing: a drive that hangs repeats its command.
     """
     constants, test = table.decision, state.sequential_test
     needed: float = constants.confirm
     echo = state.echoes.channel_1
-    if test.of_takeover == 1 or says_lost(echo):
+    if echo.believed == 1:  # the missing output is known already
+        needed = constants.recover
+    elif test.of_takeover == 1 or says_lost(echo):
         needed = constants.suspect
-    elif denies(table.echoes, echo, test.age):
-        needed = constants.denied
     return needed
 
 

@@ -51,7 +51,6 @@ class Constants(Struct):
     actuator_2: Annotated[Actuator, "1", "actuator 2"]
     share: Annotated[candidate.Limits, "1", "limits of the share of e in d̂"]
     wrong: Annotated[candidate.Limits, "1", "the limits where the echo is believed"]
-    response_1: Annotated[float, "tick", "from a loss of channel 1 until its echo must show it"]
     longest: Annotated[int, "tick", "largest age of an echo that counts; 0: no actuator reports"]
     working: Annotated[int, "1", "echoes without a fault that end the belief"]
 
@@ -67,7 +66,6 @@ class Echo(Struct):
     off: Annotated[float, "command²", "fading Σ e² over the echoes"]
     power: Annotated[float, "command²", "fading Σ output² over the echoes"]
     good: Annotated[int, "1", "echoes without a fault, one after another"]
-    sampled: Annotated[float, "tick", "since the sample of the last echo"]
     left: Annotated[int, "tick", "for so long the last echo counts; 0: no echo"]
     believed: Annotated[int, "1", "1: e is known to be missing"]
     known: Annotated[biquad.State, "y", "state of G driven by the believed v"]
@@ -99,21 +97,20 @@ def hear(table: Table, state: layout.State, channel: float, echo: float, age_tic
         return
     index = (state.echoes.index + KEPT_TICKS - int(age)) % KEPT_TICKS
     if channel == 1.0:
-        take_echo(table.echoes, state.echoes.channel_1, index, value, age)
+        take_echo(table.echoes, state.echoes.channel_1, index, value)
     elif channel == 2.0:
-        take_echo(table.echoes, state.echoes.channel_2, index, value, age)
+        take_echo(table.echoes, state.echoes.channel_2, index, value)
 
 
 @firmware
-def take_echo(constants: Constants, own: Echo, index: int, echo: float, age: float) -> None:
-    """Compare an echo of ``age`` ticks with the output at ``index`` of the ring."""
+def take_echo(constants: Constants, own: Echo, index: int, echo: float) -> None:
+    """Compare an echo with the output at ``index`` of the ring."""
     modelled, half = own.outputs[index], real(0.5, echo)
     error = modelled - echo
     own.error = error
     own.missing = half * own.missing + modelled * error
     own.off = half * own.off + error * error
     own.power = half * own.power + modelled * modelled
-    own.sampled = age
     own.left = constants.longest
     healthy = real(16.0, echo) * own.off < own.power
     own.good = own.good + 1 if healthy else 0
@@ -160,7 +157,6 @@ def advance_echo(
     own.before = own.error
     whiten(constants.stage, own.stage, command)
     own.outputs[index] = own.stage.memory[0, 0]
-    own.sampled += real(1.0, command)
     if own.left > 0:
         own.left -= 1
     if own.left == 0:
@@ -231,13 +227,6 @@ def works(own: Echo, working: int) -> bool:
 
 
 @firmware
-def denies(constants: Constants, own: Echo, age: float) -> bool:
-    """Whether the last echoes deny a loss that is ``age`` ticks old."""
-    enough: bool = own.left > 0 and age - own.sampled > constants.response_1
-    return enough and not says_lost(own)
-
-
-@firmware
 def settle_echoes(table: Table, state: layout.State) -> None:
     """The actuators have followed the present commands for long; no echo has come."""
     constants, own = table.echoes, state.echoes
@@ -251,5 +240,5 @@ def settle_echo(constants: Actuator, own: Echo, command: float) -> None:
     settle_whitener(constants.stage, own.stage, command)
     own.outputs[:] = command
     own.known.accumulators[:] = 0.0
-    own.error = own.before = own.missing = own.off = own.power = own.sampled = own.previous = 0.0
+    own.error = own.before = own.missing = own.off = own.power = own.previous = 0.0
     own.good = own.left = own.believed = 0

@@ -332,3 +332,42 @@ def test_compiled_ticks_of_a_car_in_the_world_have_the_bits_of_single_ticks(chan
     for name in ("measurement", "measured", "command_1", "command_2", "fault_estimate"):
         np.testing.assert_array_equal(getattr(together.trace, name), getattr(single, name))
     assert np.abs(single.measurement).max() > 0.0
+
+
+class Echoes:
+    """Every third tick, an actuator that does less than it was told."""
+
+    def __init__(self) -> None:
+        self.tick, self.restarts = 0, 0
+
+    def echoes(self) -> list[tuple[int, float, float]]:
+        self.tick += 1
+        return echoes_at(self.tick - 1)
+
+    def restart(self) -> None:
+        self.restarts += 1
+
+
+def echoes_at(k: int) -> list[tuple[int, float, float]]:
+    return [(1, -5.0 * k, 1.0), (2, 3.0 * k, 0.0)] if k % 3 == 0 else []
+
+
+@pytest.mark.parametrize("plant", [sample(CAR, TICK_S), Recorded()])
+def test_the_law_hears_the_echoes_of_each_tick(plant: Any) -> None:
+    target = Target(TICK_S, 1, "zoh", echoes=(IDEAL, IDEAL), noise_rms=0.01)
+    table, hears = build(SLOW, target), Echoes()
+    loop = Simulation(
+        table, plant, REFERENCE, tick_s=TICK_S, hears=hears, restarts=[(15, 20, False)]
+    )
+    loop.run()
+    assert (hears.tick, hears.restarts) == (len(REFERENCE), 1)
+    firmware, missed = Firmware(table), 0.0
+    for k, (r, y) in enumerate(zip(REFERENCE, loop.trace.measured, strict=True)):
+        if k == 20:
+            firmware = Firmware(table)
+        for echo in echoes_at(k):
+            firmware.hear(*echo)
+        answer = firmware.step(float(r), float(y))
+        assert answer[:2] == (loop.trace.command_1[k], loop.trace.command_2[k])
+        missed = max(missed, *firmware.echo_errors)
+    assert missed > 0.0

@@ -178,3 +178,18 @@ def test_saved_knowledge_ends_with_a_reset_and_outlives_ticks_without_inputs() -
     assert firmware.saved() == whole
     firmware.reset(0.0)
     assert firmware.step(0.0, 0.0).fault_state != FaultState.CONFIRMED
+
+
+def test_a_frozen_sensor_before_a_restart_says_nothing_of_the_sensor_after() -> None:
+    loop = Loop()
+    loop.run(600)
+    frozen = loop.run(1)[0]
+    firmware = loop.firmware
+    for _ in range(80):
+        frozen = firmware.step(loop.reference, 0.5)
+    assert frozen.verdict == Verdict.SENSOR_FROZEN
+    saved = firmware.saved()
+    other = Firmware(TABLE)
+    other.begin()
+    assert other.restore(saved)
+    assert other.step(0.0, 0.0).verdict != Verdict.SENSOR_FROZEN

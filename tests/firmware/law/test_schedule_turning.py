@@ -9,9 +9,9 @@ import pytest
 from firmware_model.law.layout import table_type
 from firmware_model.law.schedule import MAX_SPEEDS, Constants, blend, place_of, turn_models
 from firmware_model.law.structs import fields_of, record_type
-from tests.firmware.scheduled import SPEEDS, TARGET, Blended, scheduled
+from tests.firmware.scheduled import LAGS, SPEEDS, TARGET, Blended, scheduled
 
-OF = scheduled(cars=1)
+OF = scheduled(target=replace(TARGET, echoes=LAGS[:2]), cars=1)
 ONES = (  # whatever follows G1, and whatever follows G2
     (
         lambda s: s.estimator.channel_1,
@@ -21,12 +21,16 @@ ONES = (  # whatever follows G1, and whatever follows G2
         lambda s: s.loss_model.channel_1,
         lambda s: s.loss_model.earlier,
         lambda s: s.hypotheses.signatures.torque_offset.answer,
+        lambda s: s.hypotheses.signatures.torque_echo.answer,
+        lambda s: s.echoes.channel_1.known,
         lambda s: s.other_cars.model.channel_1,
     ),
     (
         lambda s: s.estimator.channel_2,
         lambda s: s.shortfall_2,
         lambda s: s.hypotheses.signatures.force_lost.answer,
+        lambda s: s.hypotheses.signatures.force_echo.answer,
+        lambda s: s.echoes.channel_2.known,
         lambda s: s.other_cars.model.channel_2,
     ),
 )

@@ -22,7 +22,7 @@ from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision import candidate
 from firmware_model.law.fault_decision.candidate import likeliest
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, variance_of
-from firmware_model.law.fault_decision.echoes import Echo, believe, denies, says_lost, works
+from firmware_model.law.fault_decision.echoes import Echo, believe, says_lost, works
 from firmware_model.law.fault_decision.hypotheses import signatures
 from firmware_model.law.fault_decision.hypotheses.frozen import (
     Constants as FrozenConstants,
@@ -115,7 +115,6 @@ def weigh_hypotheses(table: Table, state: layout.State, innovation: float, expec
     own.evidence[FORCE_LOST] = weighed.force_lost.candidate.evidence
     if state.echoes.channel_1.left > 0:
         own.evidence[TORQUE_OFFSET] = weighed.torque_echo.candidate.evidence
-        own.evidence[TORQUE_LOST] *= trust_in_loss(table, state)
     if state.echoes.channel_2.left > 0:
         own.evidence[FORCE_LOST] = weighed.force_echo.candidate.evidence
     own.evidence[SENSOR_BIASED] = own.signatures.sensor_biased.candidate.evidence
@@ -136,17 +135,6 @@ def torque_evidence(table: Table, state: layout.State) -> float:
     share = likeliest(test.correlation, test.information, limits)
     evidence: float = share * (test.correlation - half * share * test.information)
     return evidence
-
-
-@firmware
-def trust_in_loss(table: Table, state: layout.State) -> float:
-    """The weight of the evidence of a loss of channel 1: 1, or less where its echo denies it."""
-    decision = table.decision
-    trust = real(1.0, decision.confirm)
-    denied = denies(table.echoes, state.echoes.channel_1, state.sequential_test.age)
-    if denied and state.fault_state != CONFIRMED:
-        trust = decision.confirm / decision.denied
-    return trust
 
 
 @firmware
@@ -183,7 +171,9 @@ def judge(table: Table, state: layout.State) -> None:
     elif is_reported(own.signatures.force_echo, confirm, most):
         row, echo = own.signatures.force_echo, state.echoes.channel_2
         find_by_echo(table, state, row, echo, FORCE_LOST)
-    elif is_reported(own.signatures.torque_echo, confirm, most):
+    elif is_reported(own.signatures.torque_echo, confirm, most) and not says_lost(
+        state.echoes.channel_1
+    ):
         find_by_echo(
             table, state, own.signatures.torque_echo, state.echoes.channel_1, TORQUE_OFFSET
         )
