@@ -213,6 +213,7 @@ def compensated_output(table: Table, state: layout.State) -> float:
     """The input of F̂: the known missing output."""
     loss = state.loss_model
     lost: float = fading_output(table, state) + loss.followed * loss_output(table, state)
-    g1, echo = table.estimator.channel_1, state.echoes.channel_1
-    lost += known_output(table.echoes.actuator_1, g1, echo)
+    if table.echoes.longest > 0:
+        g1, echo = table.estimator.channel_1, state.echoes.channel_1
+        lost += known_output(table.echoes.actuator_1, g1, echo)
     return lost

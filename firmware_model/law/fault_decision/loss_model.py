@@ -101,10 +101,11 @@ def missing_shown(table: Table, state: layout.State) -> float:
 @firmware
 def earlier_missing(table: Table, state: layout.State) -> float:
     """Return the known missing output less the present loss: of earlier losses, and by echoes."""
-    g1, g2 = table.estimator.channel_1, table.estimator.channel_2
-    reported = known_output(table.echoes.actuator_1, g1, state.echoes.channel_1)
-    reported += known_output(table.echoes.actuator_2, g2, state.echoes.channel_2)
-    missing: float = fading_shown(table, state) + reported
+    missing: float = fading_shown(table, state)
+    if table.echoes.longest > 0:
+        g1, g2 = table.estimator.channel_1, table.estimator.channel_2
+        missing += known_output(table.echoes.actuator_1, g1, state.echoes.channel_1)
+        missing += known_output(table.echoes.actuator_2, g2, state.echoes.channel_2)
     return missing
 
 
