@@ -7,7 +7,7 @@ node (`WholeNode`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
@@ -38,6 +38,11 @@ class Inputs(NamedTuple):
     """The speed of the car, where the scenario has a drive."""
     witnesses: Mapping[str, float] = NO_WITNESSES
     """Further sensors by the names of their columns, as in ``yaw_rate_rad_per_s``."""
+
+
+def ages_of(columns: Sequence[str]) -> list[str]:
+    """The columns of the ages of the actuators' echoes among ``columns``."""
+    return [name + AGE for name in columns if name in ECHO_COLUMNS]
 
 
 def echoes_in(heard: Mapping[str, float]) -> list[tuple[int, float, float]]:

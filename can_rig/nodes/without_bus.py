@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig import paged
-from can_rig.controllers.protocol import ECHO_COLUMNS
-from can_rig.frames.codec import AGE, FRAME_BYTES
+from can_rig.controllers.protocol import ages_of
+from can_rig.frames.codec import FRAME_BYTES
 from can_rig.frames.frame_columns import UInt8s, payloads
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import OnTick, StopRequest
@@ -83,7 +83,7 @@ class RunWithoutBus:
         self._echo_ages: dict[str, FloatArray] = {}
         self._hearing = hearing_of(scenario, self._network)
         self._names = [each.usual.column for each in scenario.sensors]
-        self._ages = [name + AGE for name in self._names if name in ECHO_COLUMNS]
+        self._ages = ages_of(self._names)
         self._run = LoopInWindows(
             scenario,
             self._network,

@@ -12,10 +12,9 @@ import numpy as np
 from can import Message
 
 from can_rig import paged
-from can_rig.controllers.protocol import ECHO_COLUMNS
+from can_rig.controllers.protocol import ages_of
 from can_rig.drawing.names import column_names
 from can_rig.frames.codec import (
-    AGE,
     NO_DECISION,
     WIRE_TICKS,
     Hearing,
@@ -235,7 +234,7 @@ class SignalRows:
         ]
         """Columns of the further sensors."""
         timings = [(period, 0, 0) for period in network.periods]
-        self.echo_ages: Final = [name + AGE for name in self.sensors if name in ECHO_COLUMNS]
+        self.echo_ages: Final = ages_of(self.sensors)
         """Columns of the ages of the actuators' echoes."""
         self._hearing = Hearing(network.witnesses, timings, self.sensors)
         self._tick = -1

@@ -24,7 +24,7 @@ from firmware_model.law.fault_decision.candidate import (
     State as CandidateState,
 )
 from firmware_model.law.fault_decision.candidate import has_failed, start, take_in
-from firmware_model.law.fault_decision.echoes import missing_command
+from firmware_model.law.fault_decision.echoes import Actuator, Echo, missing_command
 from firmware_model.law.filters import biquad
 from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.precision import real
@@ -90,32 +90,9 @@ def weigh_signatures(table: Table, state: layout.State, innovation: float) -> No
         own.commanded = own.missing = own.before = 0.0
     if not state.sequential_test.age > real(0.0, one):  # the candidate for channel 1 begins again
         own.before = force.candidate.evidence
-    echoes = state.echoes
-    actuator_1, actuator_2 = table.echoes.actuator_1, table.echoes.actuator_2
-    if echoes.channel_1.left > 0:
-        missing = missing_command(actuator_1, echoes.channel_1)
-        weigh_echo(
-            table,
-            state,
-            own.torque_echo,
-            output(g1, own.torque_echo.answer, missing),
-            echoes.channel_1.believed,
-            innovation,
-        )
-    elif own.torque_echo.candidate.age > 0.0:
-        begin(own.torque_echo)
-    if echoes.channel_2.left > 0:
-        missing = missing_command(actuator_2, echoes.channel_2)
-        weigh_echo(
-            table,
-            state,
-            own.force_echo,
-            output(g2, own.force_echo.answer, missing),
-            echoes.channel_2.believed,
-            innovation,
-        )
-    elif own.force_echo.candidate.age > 0.0:
-        begin(own.force_echo)
+    echoes, told = state.echoes, table.echoes
+    weigh_echo(table, state, own.torque_echo, g1, told.actuator_1, echoes.channel_1, innovation)
+    weigh_echo(table, state, own.force_echo, g2, told.actuator_2, echoes.channel_2, innovation)
     half = real(0.5, innovation)
     fresh = half * innovation * innovation / state.mismatch.variance
     bias, drift = own.sensor_biased, own.sensor_drifting
@@ -138,14 +115,24 @@ def weigh_signatures(table: Table, state: layout.State, innovation: float) -> No
 
 @firmware
 def weigh_echo(
-    table: Table, state: layout.State, own: One, shown: float, believed: int, innovation: float
+    table: Table,
+    state: layout.State,
+    own: One,
+    channel: biquad.Constants,
+    actuator: Actuator,
+    echo: Echo,
+    innovation: float,
 ) -> None:
-    """Weigh the missing output that an echo reports as ``shown`` in d̂; see ``echoes``."""
-    if believed == 1:
-        take_in(table, state, own.candidate, table.echoes.wrong, shown, innovation)
-    else:
-        take_in(table, state, own.candidate, table.echoes.share, shown, innovation)
-    if has_failed(table.hypotheses.signatures.candidate, own.candidate):
+    """Weigh the missing output that ``echo`` reports; without an echo no evidence stays."""
+    if echo.left > 0:
+        shown = output(channel, own.answer, missing_command(actuator, echo))
+        if echo.believed == 1:
+            take_in(table, state, own.candidate, table.echoes.wrong, shown, innovation)
+        else:
+            take_in(table, state, own.candidate, table.echoes.share, shown, innovation)
+        if has_failed(table.hypotheses.signatures.candidate, own.candidate):
+            begin(own)
+    elif own.candidate.age > 0.0:
         begin(own)
 
 
