@@ -29,9 +29,9 @@ PLACES = {
     "TORQUE_LOST": "TORQUE_LOST",
     "TORQUE_OFFSET": "TORQUE_LOST",
     "FORCE_LOST": "FORCE_LOST",
-    "SENSOR_BIASED": "SENSOR_BIASED",
-    "SENSOR_DRIFTING": "SENSOR_BIASED",
-    "SENSOR_FROZEN": "SENSOR_BIASED",
+    "SENSOR_WRONG": "SENSOR_WRONG",
+    "SENSOR_DRIFTING": "SENSOR_WRONG",
+    "SENSOR_FROZEN": "SENSOR_WRONG",
 }
 
 
@@ -101,7 +101,7 @@ def test_a_bias_is_weighed_in_the_tick_in_which_it_begins() -> None:
     state = controller.init(TABLES[0])[0]
     state.mismatch.variance = 0.01
     weigh_hypotheses(TABLES[0], state, 0.3, 0.0)
-    assert state.hypotheses.evidence[Verdict.SENSOR_BIASED] == pytest.approx(0.5 * 0.3**2 / 0.01)
+    assert state.hypotheses.evidence[Verdict.SENSOR_WRONG] == pytest.approx(0.5 * 0.3**2 / 0.01)
 
 
 def test_a_clearing_leaves_nothing_of_any_number() -> None:

@@ -1,0 +1,211 @@
+"""The witness: D* made of yaw rate and lateral acceleration, beside the sensor of D*.
+
+Three say what the output is: the sensor (y), the witness
+
+    w = d a + (1 - d) V γ        (3.8), a the lateral acceleration, γ the yaw rate
+
+and the model (p, the prediction with the known loss). Each sample of the witness compares all three
+at the time of the sample. Where y and w are apart by more than noise, the model decides:
+
+    p is near w    the sensor is *denied*: the law takes p plus the last w - p in place of y
+    p is near y    the witness is wrong, and counts for nothing
+
+Where y and w agree against p, the sensor is *acquitted*: d̂ shows no fault of the sensor. A lying
+sensor may have had a loss confirmed before the witness could contradict; the model without the loss
+then is near w, and the loss is *refuted*.
+
+A denied sensor is believed again after ``working`` samples in agreement, of a moving car. A witness
+that stays away for long says nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated
+
+from firmware_model.compiled import firmware
+from firmware_model.law.precision import real
+from firmware_model.law.structs import FloatArray, Struct
+
+if TYPE_CHECKING:
+    from firmware_model.law.layout import Table
+
+
+KEPT_TICKS = 64
+
+
+class Constants(Struct):
+    """Constants."""
+
+    lateral_weight: Annotated[float, "1", "d"]
+    speed: Annotated[float, "m/s", "V"]
+    late: Annotated[float, "tick", "lag of both sensors"]
+    longest: Annotated[int, "tick", "largest age of a witness that counts; 0: there is no witness"]
+    keep: Annotated[float, "1", "factor per sample of the fading sums"]
+    noise: Annotated[float, "y²", "fading sum that noise never reaches"]
+    doubt: Annotated[float, "1", "square of the share of w that an unknown speed may falsify"]
+    nearer: Annotated[float, "1", "least ratio of the fading sums to tell who is wrong"]
+    working: Annotated[int, "1", "samples in agreement that end a denial"]
+
+
+class Sample(Struct):
+    """The last sample of a sensor."""
+
+    value: Annotated[float, "1", "in the unit of the sensor"]
+    age: Annotated[float, "tick", "since the sample"]
+    fresh: Annotated[int, "1", "1: not used yet"]
+
+
+class State(Struct):
+    """State."""
+
+    yaw_rate: Annotated[Sample, "rad/s", "γ"]
+    acceleration: Annotated[Sample, "m/s²", "a"]
+    measured: Annotated[FloatArray, "y", "ring of y", (KEPT_TICKS,)]
+    expected: Annotated[FloatArray, "y", "ring of p", (KEPT_TICKS,)]
+    healthy: Annotated[FloatArray, "y", "ring of p without any known loss", (KEPT_TICKS,)]
+    index: Annotated[int, "1", "index of this tick in the rings"]
+    difference: Annotated[float, "y", "w - p of the last sample"]
+    healthy_difference: Annotated[float, "y", "likewise, p without any known loss"]
+    power: Annotated[float, "y²", "fading Σ w²"]
+    apart: Annotated[float, "y²", "fading Σ (y - w)²"]
+    sensor_off: Annotated[float, "y²", "fading Σ (y - p)²"]
+    witness_off: Annotated[float, "y²", "fading Σ (w - p)²"]
+    healthy_off: Annotated[float, "y²", "fading Σ (w - p)², p without any known loss"]
+    age: Annotated[float, "tick", "since the last sample"]
+    left: Annotated[int, "tick", "for so long the last sample counts; 0: no witness"]
+    good: Annotated[int, "1", "samples in agreement, one after another"]
+    denied: Annotated[int, "1", "1: the sensor is wrong"]
+
+
+@firmware
+def take_sample(table: Table, own: Sample, value: float, age: float) -> None:
+    """Keep a sample for the ``weigh_witness`` of this tick."""
+    if table.witness.longest > 0:
+        own.value, own.age, own.fresh = value, age, 1
+
+
+@firmware
+def weigh_witness(table: Table, own: State, y: float, expected: float, healthy: float) -> None:
+    """Compare sensor, witness and model, if both sensors have news.
+
+    Args:
+        table: the constant table.
+        own: changed in place.
+        y: measurement of this tick; not a number if missing.
+        expected: y by the model with the known loss.
+        healthy: y by the model without any known loss.
+    """
+    own.measured[own.index], own.expected[own.index] = y, expected
+    own.healthy[own.index] = healthy
+    if own.yaw_rate.fresh == 0 or own.acceleration.fresh == 0:
+        return
+    own.yaw_rate.fresh = own.acceleration.fresh = 0
+    constants, one = table.witness, real(1.0, expected)
+    turning = (one - constants.lateral_weight) * constants.speed * own.yaw_rate.value
+    witness = constants.lateral_weight * own.acceleration.value + turning
+    age = constants.lateral_weight * own.acceleration.age
+    age += (one - constants.lateral_weight) * own.yaw_rate.age + constants.late
+    if not (math.isfinite(witness) and age < real(KEPT_TICKS, age)):
+        return
+    at = (own.index + KEPT_TICKS - int(age)) % KEPT_TICKS
+    own.age = age
+    own.difference, own.left = witness - own.expected[at], constants.longest
+    own.healthy_difference = witness - own.healthy[at]
+    if math.isfinite(own.measured[at]):
+        compare(constants, own, at, witness)
+
+
+@firmware
+def compare(constants: Constants, own: State, at: int, witness: float) -> None:
+    """Who is wrong, with the sample ``witness`` of the tick ``at``."""
+    apart, sensor = own.measured[at] - witness, own.measured[at] - own.expected[at]
+    healthy = own.healthy_difference
+    own.power = constants.keep * own.power + witness * witness
+    own.apart = constants.keep * own.apart + apart * apart
+    own.sensor_off = constants.keep * own.sensor_off + sensor * sensor
+    own.witness_off = constants.keep * own.witness_off + own.difference * own.difference
+    own.healthy_off = constants.keep * own.healthy_off + healthy * healthy
+    disagree = disagrees(constants, own)
+    if disagree:
+        own.good = 0
+    elif constants.nearer * constants.nearer * own.apart < own.power:
+        own.good += 1
+    nearest = min(own.witness_off, own.healthy_off)
+    if disagree and constants.nearer * nearest < own.apart:
+        own.denied = 1
+    if own.good >= constants.working:
+        own.denied = 0
+
+
+@firmware
+def unsure(constants: Constants, own: State) -> float:
+    """The fading sum up to which noise and an unknown speed explain a difference from w."""
+    limit: float = constants.noise + constants.doubt * own.power
+    return limit
+
+
+@firmware
+def disagrees(constants: Constants, own: State) -> bool:
+    """Whether sensor and witness are apart by more than noise, whoever is wrong."""
+    apart: bool = own.left > 0 and own.apart > unsure(constants, own)
+    return apart
+
+
+@firmware
+def acquits(constants: Constants, own: State) -> bool:
+    """Whether the witness says of d̂ that the sensor is right."""
+    limit = unsure(constants, own)
+    off = own.left > 0 and own.witness_off > limit and own.apart < limit
+    acquitted: bool = off and constants.nearer * own.apart < own.sensor_off
+    return acquitted
+
+
+@firmware
+def refutes(constants: Constants, own: State) -> bool:
+    """Whether the witness says that nothing is lost."""
+    off = own.left > 0 and own.witness_off > unsure(constants, own)
+    refuted: bool = off and constants.nearer * own.healthy_off < own.witness_off
+    return refuted
+
+
+@firmware
+def forget_loss(own: State) -> None:
+    """The model never knew of a loss."""
+    for i in range(KEPT_TICKS):
+        own.expected[i] = own.healthy[i]
+    own.difference, own.witness_off = own.healthy_difference, own.healthy_off
+
+
+@firmware
+def advance_witness(table: Table, own: State) -> None:
+    """A tick on."""
+    if table.witness.longest == 0:
+        return
+    one = real(1.0, own.difference)
+    own.index = (own.index + 1) % KEPT_TICKS
+    own.yaw_rate.age += one
+    own.acceleration.age += one
+    own.age += one
+    if own.left > 0:
+        own.left -= 1
+    if own.left == 0:
+        forget_samples(own)
+
+
+@firmware
+def forget_samples(own: State) -> None:
+    """Nothing is known from samples; a denied sensor stays denied."""
+    own.good = 0
+    own.power = own.apart = own.sensor_off = own.witness_off = own.healthy_off = 0.0
+
+
+@firmware
+def settle_witness(own: State, output: float) -> None:
+    """Sensor and model have said ``output`` for long; no sample has come."""
+    own.measured[:] = output
+    own.expected[:] = output
+    own.healthy[:] = output
+    own.yaw_rate.fresh = own.acceleration.fresh = own.left = own.denied = 0
+    own.difference = own.healthy_difference = own.age = 0.0
+    forget_samples(own)
