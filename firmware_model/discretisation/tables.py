@@ -69,10 +69,10 @@ def fill_witness(witness: WitnessConstants, of: Witness, target: Target) -> None
     witness.lateral_weight, witness.speed = of.lateral_weight, of.speed_mps
     witness.late = of.lag_s / target.tick_s
     witness.longest = max(math.ceil(ECHO_S / target.tick_s), LEAST_ECHO_TICKS)
-    witness.keep, witness.nearer, witness.working = KEEP, NEARER, WORKING_ECHOES
+    witness.keep, witness.nearer, witness.working = KEEP, NEARER, AGREEING_SAMPLES
     noise = math.hypot(of.noise_rms, target.noise_rms, target.resolution)
     witness.noise = (APART * noise) ** 2
-    witness.doubt = (of.doubt * (1.0 - of.lateral_weight)) ** 2
+    witness.doubt = of.doubt**2
 
 
 def fill_echoes(
@@ -192,6 +192,7 @@ WORKING_ECHOES = 50  # good echoes, one after another, that end a fault
 KEEP = 0.8  # factor per sample of the fading sums of a witness
 NEARER = 4.0  # ratio of squares: who is wrong is twice as far away
 APART = 7.0  # deviations of the noise, in a fading sum of five samples
+AGREEING_SAMPLES = 200  # one after another, that end the denial of a sensor
 CLEAR_OF_NOISE = 8.0  # least output, in deviations of the noise, to say that it is missing
 ECHO_S, LEAST_ECHO_TICKS = 0.1, 5  # an echo that stays away for longer gives no information
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1

@@ -10,12 +10,15 @@ at the time of the sample. Where y and w are apart by more than noise, the model
     p is near w    the sensor is *denied*: the law takes p plus the last w - p in place of y
     p is near y    the witness is wrong, and counts for nothing
 
+In a car that slides little, a and V γ are nearly equal. Where a and V γ are further apart than y
+and w, one of the two is wrong, and denies nothing.
+
 Where y and w agree against p, the sensor is *acquitted*: d̂ shows no fault of the sensor. A lying
 sensor may have had a loss confirmed before the witness could contradict; the model without the loss
 then is near w, and the loss is *refuted*.
 
-A denied sensor is believed again after ``working`` samples in agreement, of a moving car. A witness
-that stays away for long says nothing.
+A denied sensor is believed again after ``working`` samples in agreement, of a moving car, or once
+the witness is found wrong. A witness that stays away for long says nothing.
 """
 
 from __future__ import annotations
@@ -43,7 +46,7 @@ class Constants(Struct):
     longest: Annotated[int, "tick", "largest age of a witness that counts; 0: there is no witness"]
     keep: Annotated[float, "1", "factor per sample of the fading sums"]
     noise: Annotated[float, "y²", "fading sum that noise never reaches"]
-    doubt: Annotated[float, "1", "square of the share of w that an unknown speed may falsify"]
+    doubt: Annotated[float, "1", "square of the share by which V may be off; 0: V is measured"]
     nearer: Annotated[float, "1", "least ratio of the fading sums to tell who is wrong"]
     working: Annotated[int, "1", "samples in agreement that end a denial"]
 
@@ -69,7 +72,9 @@ class State(Struct):
     healthy_difference: Annotated[float, "y", "likewise, p without any known loss"]
     power: Annotated[float, "y²", "fading Σ w²"]
     apart: Annotated[float, "y²", "fading Σ (y - w)²"]
+    inner: Annotated[float, "y²", "fading Σ (a - V γ)²"]
     sensor_off: Annotated[float, "y²", "fading Σ (y - p)²"]
+    sensor_healthy_off: Annotated[float, "y²", "fading Σ (y - p)², p without any known loss"]
     witness_off: Annotated[float, "y²", "fading Σ (w - p)²"]
     healthy_off: Annotated[float, "y²", "fading Σ (w - p)², p without any known loss"]
     age: Annotated[float, "tick", "since the last sample"]
@@ -102,27 +107,33 @@ def weigh_witness(table: Table, own: State, y: float, expected: float, healthy: 
         return
     own.yaw_rate.fresh = own.acceleration.fresh = 0
     constants, one = table.witness, real(1.0, expected)
-    turning = (one - constants.lateral_weight) * constants.speed * own.yaw_rate.value
-    witness = constants.lateral_weight * own.acceleration.value + turning
-    age = constants.lateral_weight * own.acceleration.age
-    age += (one - constants.lateral_weight) * own.yaw_rate.age + constants.late
-    if not (math.isfinite(witness) and age < real(KEPT_TICKS, age)):
+    turning, sliding = constants.speed * own.yaw_rate.value, own.acceleration.value
+    weight, oldest = constants.lateral_weight, max(own.yaw_rate.age, own.acceleration.age)
+    witness = weight * sliding + (one - weight) * turning
+    age = weight * own.acceleration.age + (one - weight) * own.yaw_rate.age + constants.late
+    late = not (age >= 0.0 and age < real(KEPT_TICKS, age))
+    if late or oldest > real(constants.longest, age) or not math.isfinite(witness):
         return
     at = (own.index + KEPT_TICKS - int(age)) % KEPT_TICKS
     own.age = age
     own.difference, own.left = witness - own.expected[at], constants.longest
     own.healthy_difference = witness - own.healthy[at]
     if math.isfinite(own.measured[at]):
-        compare(constants, own, at, witness)
+        compare(constants, own, at, witness, sliding - turning)
 
 
 @firmware
-def compare(constants: Constants, own: State, at: int, witness: float) -> None:
-    """Who is wrong, with the sample ``witness`` of the tick ``at``."""
-    apart, sensor = own.measured[at] - witness, own.measured[at] - own.expected[at]
-    healthy = own.healthy_difference
+def compare(constants: Constants, own: State, at: int, witness: float, inner: float) -> None:
+    """Who is wrong, with the sample ``witness`` of the tick ``at``; ``inner``: a - V γ."""
+    measured, healthy = own.measured[at], own.healthy_difference
+    apart, sensor = measured - witness, measured - own.expected[at]
+    sensor_healthy = measured - own.healthy[at]
     own.power = constants.keep * own.power + witness * witness
     own.apart = constants.keep * own.apart + apart * apart
+    own.inner = constants.keep * own.inner + inner * inner
+    own.sensor_healthy_off = (
+        constants.keep * own.sensor_healthy_off + sensor_healthy * sensor_healthy
+    )
     own.sensor_off = constants.keep * own.sensor_off + sensor * sensor
     own.witness_off = constants.keep * own.witness_off + own.difference * own.difference
     own.healthy_off = constants.keep * own.healthy_off + healthy * healthy
@@ -131,18 +142,33 @@ def compare(constants: Constants, own: State, at: int, witness: float) -> None:
         own.good = 0
     elif constants.nearer * constants.nearer * own.apart < own.power:
         own.good += 1
-    nearest = min(own.witness_off, own.healthy_off)
-    if disagree and constants.nearer * nearest < own.apart:
+    nearer = constants.nearer * own.witness_off < own.sensor_off
+    nearer = nearer or constants.nearer * own.healthy_off < own.sensor_healthy_off
+    sound = agrees_with_itself(constants, own)
+    if disagree and nearer and sound:
         own.denied = 1
-    if own.good >= constants.working:
+    wrong = constants.nearer * own.sensor_off < own.witness_off and not sound
+    if own.good >= constants.working or (disagree and wrong):
         own.denied = 0
 
 
 @firmware
 def unsure(constants: Constants, own: State) -> float:
-    """The fading sum up to which noise and an unknown speed explain a difference from w."""
-    limit: float = constants.noise + constants.doubt * own.power
+    """The fading sum up to which noise and an unknown speed explain a difference from w.
+
+    Three times what the speed explains: from there on ``agrees_with_itself`` tells a wrong γ.
+    """
+    three, of_speed = real(3.0, own.power), real(1.0, own.power) - constants.lateral_weight
+    limit: float = constants.noise + three * constants.doubt * of_speed * of_speed * own.power
     return limit
+
+
+@firmware
+def agrees_with_itself(constants: Constants, own: State) -> bool:
+    """Whether a and V γ are not as far apart as a wrong one would set y and w apart."""
+    half, two = real(0.5, own.inner), real(2.0, own.inner)
+    agrees: bool = own.inner < half * own.apart + two * constants.doubt * own.power
+    return agrees
 
 
 @firmware
@@ -197,7 +223,8 @@ def advance_witness(table: Table, own: State) -> None:
 def forget_samples(own: State) -> None:
     """Nothing is known from samples; a denied sensor stays denied."""
     own.good = 0
-    own.power = own.apart = own.sensor_off = own.witness_off = own.healthy_off = 0.0
+    own.power = own.apart = own.inner = own.sensor_off = own.sensor_healthy_off = 0.0
+    own.witness_off = own.healthy_off = 0.0
 
 
 @firmware

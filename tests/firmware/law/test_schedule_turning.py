@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from firmware_model.discretisation.targets import Reporting
 from firmware_model.law.layout import table_type
 from firmware_model.law.schedule import MAX_SPEEDS, Constants, blend, place_of, turn_models
 from firmware_model.law.structs import fields_of, record_type
