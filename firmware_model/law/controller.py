@@ -93,6 +93,7 @@ from firmware_model.law.filters.prediction import (
     note_measurement,
     predicted,
     stand_in,
+    turn_to_witness,
 )
 from firmware_model.law.filters.shortfall import make_up
 from firmware_model.law.filters.tracking import (
@@ -165,7 +166,7 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
     told = math.isfinite(r)
     frozen = state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement
     measured = math.isfinite(y) and not frozen
-    seen = measured or state.witness.left > 0
+    seen = (measured and state.witness.denied == 0) or state.witness.left > 0
     predicts = table.prediction.enabled == 1 and state.takeover.pending == BEGUN
     if stops(table, state, told and seen):
         take_commands_back(table, state)
@@ -290,6 +291,7 @@ def witness(table: Table, state: State, y: float, model_output: float) -> None:
     weigh_witness(table, own, y, expected, predicted(table, state, model_output))
     if own.denied > before:
         set_aside(table, state)
+        turn_to_witness(state.prediction, own.difference)
     if state.fault_state == CONFIRMED and refutes(table.witness, own):
         state.prediction.difference -= missing_shown(table, state)
         withdraw_loss(table, state)

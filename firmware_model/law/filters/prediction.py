@@ -73,6 +73,13 @@ def stand_in(constants: Constants, own: State, expected: float) -> float:
 
 
 @firmware
+def turn_to_witness(own: State, difference: float) -> None:
+    """The sensor is denied: C forgets it at once, for what C did with it was wrong."""
+    own.difference, own.fading = difference, real(0.0, difference)
+    own.elapsed = max(own.elapsed, real(1.0, difference))
+
+
+@firmware
 def follow_witness(constants: Constants, own: State, difference: float) -> None:
     """The witness last said so of y - prediction."""
     own.difference = difference + constants.fading * (own.difference - difference)

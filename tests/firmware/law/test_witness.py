@@ -22,7 +22,7 @@ from tests.firmware.law.test_echoes import LAGS, Car, dead, honest, lying, worki
 
 WEIGHT, SPEED_MPS, RMS, PERIOD = 0.3, 12.0, 0.005, 5
 WITNESS = Witness(WEIGHT, SPEED_MPS, noise_rms=RMS)
-FAULT, END = 150, 600
+FAULT, END = 150, 900
 
 Error = Callable[[float, int], float]
 """From D* and the ticks since FAULT to what a sensor says."""
@@ -90,20 +90,22 @@ def drive(
     wanted: Callable[[int], float] = lambda k: math.sin(0.01 * k),
     until: int = END,
     push: float = 0.0,
+    age: tuple[int, int] = (0, 0),
 ) -> Driven:
     """A drive in which sensor, witness and actuators err from FAULT on.
 
     ``hears``: what the witness says, every PERIOD ticks; None: no witness. ``until``: the sensor
-    errs for so long. ``push``: a torque that nobody reports.
+    errs for so long. ``push``: a torque that nobody reports. ``age``: of the witness, and as told.
     """
     firmware, car, driven = Firmware(table), Car(), Driven([], [])
     noise = np.random.default_rng(7).normal(0.0, RMS, (3, END))
     for k in range(END):
         late, y = k - FAULT, car.y
         if hears is not None and k % PERIOD == 0:
-            said = hears(y, late) if late >= 0 else y
-            firmware.hear(3, (said + noise[1, k]) / SPEED_MPS)
-            firmware.hear(4, said + noise[2, k])
+            then = [*driven.y, y][max(k - age[0], 0)]
+            said = hears(then, late) if late >= 0 else then
+            firmware.hear(3, (said + noise[1, k]) / SPEED_MPS, age[1])
+            firmware.hear(4, said + noise[2, k], age[1])
         if echoes is not None and k % PERIOD == 0:
             for channel, echo in enumerate(echoes(car.outputs, car.commands, k), 1):
                 firmware.hear(channel, echo)
@@ -170,8 +172,8 @@ def test_a_sensor_that_pretends_a_loss_deceives_only_until_the_witness_refutes()
     ended = begun + pretended.states[begun:].index(FaultState.CLEAR)
     assert ended - begun < 60
     assert FaultState.CONFIRMED not in pretended.states[ended:]
-    assert max(abs(answer.command_2) for answer in pretended.answers) > 0.0
-    assert abs(pretended.answers[-1].command_2) < 1.0
+    late = max(abs(answer.command_2) for answer in pretended.answers[-20:])
+    assert late < 0.02 * max(abs(answer.command_2) for answer in pretended.answers)
     assert pretended.off(HEALTHY) < 0.4
 
 
@@ -196,11 +198,11 @@ def test_a_blind_controller_stops_unless_a_witness_comes(hears: Error | None, la
 
 
 def falls_silent(y: float, k: int) -> float:
-    return y if k < 100 else math.nan
+    return y if k < 100 else math.nan  # 100 ms later the witness counts for nothing
 
 
 def test_a_denied_sensor_stays_denied_when_the_witness_falls_silent() -> None:
-    driven = drive(table_of(blind_s=0.05), off, falls_silent)
+    driven = drive(table_of(blind_s=0.02), off, falls_silent)
     assert driven.answers[-1].mode == Mode.SAFE_STOP
 
 
@@ -209,7 +211,9 @@ def test_a_sensor_that_works_again_is_believed_once_the_car_has_moved(moves: boo
     def wanted(k: int) -> float:
         return math.sin(0.01 * k) if moves or k < FAULT + 60 else 0.0
 
-    driven = drive(table_of(), off, wanted=wanted, until=FAULT + 60)
+    table = table_of()
+    table.witness.working = 40
+    driven = drive(table, off, wanted=wanted, until=FAULT + 60)
     assert Verdict.SENSOR_WRONG in driven.verdicts
     assert (driven.answers[-1].mode == Mode.RUN) is moves
     assert (driven.verdicts[-1] == Verdict.SENSOR_WRONG) is not moves
@@ -241,19 +245,11 @@ def test_what_is_no_sample_is_not_heard(sample: tuple[int, float, float]) -> Non
         assert firmware.step(0.1, 0.0) == other.step(0.1, 0.0), k
 
 
-@pytest.mark.parametrize("age", [0, 7, KEPT_TICKS - 1])
+@pytest.mark.parametrize("age", [7, 30])
 def test_a_sample_counts_for_the_tick_in_which_it_was_taken(age: int) -> None:
-    """An old sample of a fast D* agrees with the old measurement, not with the present one."""
-    firmware, other = Firmware(table_of()), Firmware(table_of(None))
-    car = Car()
-    for k in range(300):
-        past = math.sin(0.05 * max(k - age, 0))
-        firmware.hear(3, past / SPEED_MPS, age)
-        firmware.hear(4, past, age)
-        answer = firmware.step(0.0, math.sin(0.05 * k))
-        assert answer == other.step(0.0, math.sin(0.05 * k)), k
-        assert answer.verdict != Verdict.SENSOR_WRONG
-        car.go_on(0.0, 0.0)
+    """Old samples stand in for the sensor nearly as well as new ones, if their age is told."""
+    honest_age, none_told = (drive(table_of(), missing, age=(age, told)) for told in (age, 0))
+    assert honest_age.off(HEALTHY) < 0.5 * none_told.off(HEALTHY)
 
 
 def test_a_tick_that_overflows_forgets_the_samples() -> None:
