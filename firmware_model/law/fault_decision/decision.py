@@ -52,7 +52,11 @@ from firmware_model.law.fault_decision.loss_model import (
 )
 from firmware_model.law.fault_decision.mismatch import innovation, learn_loss, predict_mismatch
 from firmware_model.law.fault_decision.other_cars import show_other_cars
-from firmware_model.law.fault_decision.witness import acquits, disagrees
+from firmware_model.law.fault_decision.witness import (
+    acquits,
+    agrees_with_itself,
+    contradicts,
+)
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import Struct
@@ -159,13 +163,14 @@ def needed_evidence(table: Table, state: layout.State) -> float:
 def has_to_wait(table: Table, state: layout.State) -> bool:
     """Whether d̂ alone shows a loss, and the witness can tell soon.
 
-    Sensor and witness disagree, or the echo denies the loss and the witness does not show it yet.
+    The witness contradicts the sensor, or the echo denies the loss and the witness does not show
+    the loss yet.
     """
     own, echo = state.witness, state.echoes.channel_1
     denied = echo.left > 0 and echo.believed == 0 and not says_lost(table.echoes.actuator_1, echo)
     told = own.age < state.sequential_test.age and acquits(table.witness, own)
-    unheard = own.left > 0 and denied and not told
-    waits: bool = unheard or disagrees(table.witness, own)
+    sound = own.left > 0 and agrees_with_itself(table.witness, own)
+    waits: bool = (sound and denied and not told) or contradicts(table.witness, own)
     return waits
 
 

@@ -137,18 +137,18 @@ def compare(constants: Constants, own: State, at: int, witness: float, inner: fl
     own.sensor_off = constants.keep * own.sensor_off + sensor * sensor
     own.witness_off = constants.keep * own.witness_off + own.difference * own.difference
     own.healthy_off = constants.keep * own.healthy_off + healthy * healthy
-    disagree = disagrees(constants, own)
-    if disagree:
+    off = own.apart > unsure(constants, own)
+    if off:
         own.good = 0
     elif constants.nearer * constants.nearer * own.apart < own.power:
         own.good += 1
     nearer = constants.nearer * own.witness_off < own.sensor_off
     nearer = nearer or constants.nearer * own.healthy_off < own.sensor_healthy_off
     sound = agrees_with_itself(constants, own)
-    if disagree and nearer and sound:
+    if off and sound and nearer:
         own.denied = 1
-    wrong = constants.nearer * own.sensor_off < own.witness_off and not sound
-    if own.good >= constants.working or (disagree and wrong):
+    wrong = off and not sound and constants.nearer * own.sensor_off < own.witness_off
+    if wrong or own.good >= constants.working:
         own.denied = 0
 
 
@@ -172,10 +172,11 @@ def agrees_with_itself(constants: Constants, own: State) -> bool:
 
 
 @firmware
-def disagrees(constants: Constants, own: State) -> bool:
-    """Whether sensor and witness are apart by more than noise, whoever is wrong."""
-    apart: bool = own.left > 0 and own.apart > unsure(constants, own)
-    return apart
+def contradicts(constants: Constants, own: State) -> bool:
+    """Whether a witness that agrees with itself contradicts the sensor."""
+    apart = own.left > 0 and own.apart > unsure(constants, own)
+    contradicted: bool = apart and agrees_with_itself(constants, own)
+    return contradicted
 
 
 @firmware

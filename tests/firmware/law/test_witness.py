@@ -211,7 +211,7 @@ def test_a_sensor_that_works_again_is_believed_once_the_car_has_moved(moves: boo
     def wanted(k: int) -> float:
         return math.sin(0.01 * k) if moves or k < FAULT + 60 else 0.0
 
-    table = table_of()
+    table = table_of().copy()
     table.witness.working = 40
     driven = drive(table, off, wanted=wanted, until=FAULT + 60)
     assert Verdict.SENSOR_WRONG in driven.verdicts

@@ -48,7 +48,7 @@ from firmware_model.law.fault_decision.hypotheses.signatures import (
     weigh_signatures,
 )
 from firmware_model.law.fault_decision.loss_model import known_share
-from firmware_model.law.fault_decision.witness import acquits, disagrees
+from firmware_model.law.fault_decision.witness import acquits, contradicts
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray, Struct
@@ -164,7 +164,7 @@ def judge(table: Table, state: layout.State) -> None:
     force, sensor = evidence[FORCE_LOST], strongest(evidence, SENSOR_WRONG, ANOTHER_CAR)
     if acquits(table.witness, state.witness):
         sensor = real(0.0, sensor)
-    apart = disagrees(table.witness, state.witness)
+    apart = contradicts(table.witness, state.witness)
     actuators = max(torque, force)
     most = max(actuators, sensor)
     second = max(min(torque, force), min(actuators, sensor))
