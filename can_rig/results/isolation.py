@@ -132,7 +132,7 @@ _WORDS: Final = {
     Verdict.TORQUE_LOST: "{command_1} lost",
     Verdict.TORQUE_OFFSET: "{command_1} off by a constant",
     Verdict.FORCE_LOST: "{command_2} lost",
-    Verdict.SENSOR_WRONG: "{output} sensor biased",
+    Verdict.SENSOR_WRONG: "{output} sensor wrong",
     Verdict.SENSOR_DRIFTING: "{output} sensor drifting",
     Verdict.SENSOR_FROZEN: "{output} sensor frozen",
     Verdict.ANOTHER_CAR: "no fault, another plant than the model",

@@ -201,7 +201,8 @@ def forget_loss(own: State) -> None:
     """The model never knew of a loss."""
     for i in range(KEPT_TICKS):
         own.expected[i] = own.healthy[i]
-    own.difference, own.witness_off = own.healthy_difference, own.healthy_off
+    own.difference = own.healthy_difference
+    own.witness_off = own.healthy_off
 
 
 @firmware
