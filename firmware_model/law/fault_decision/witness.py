@@ -1,24 +1,25 @@
 """The witness: D* made of yaw rate and lateral acceleration, beside the sensor of D*.
 
-Three say what the output is: the sensor (y), the witness
+The output has three sources: the sensor (y), the model (p, the prediction with the known loss), and
+the witness
 
-    w = d a + (1 - d) V γ        (3.8), a the lateral acceleration, γ the yaw rate
+    w = d a + (1 - d) V γ        (3.8), with a the lateral acceleration and γ the yaw rate
 
-and the model (p, the prediction with the known loss). Each sample of the witness compares all three
-at the time of the sample. Where y and w are apart by more than noise, the model decides:
+Each sample of the witness compares the three sources at the time of the sample. Where y and w are
+further apart than noise explains, the model decides:
 
-    p is near w    the sensor is *denied*: the law takes p plus the last w - p in place of y
-    p is near y    the witness is wrong, and counts for nothing
+    p is near w    the sensor is *denied*: p plus the last w - p replaces y
+    p is near y    the witness is wrong: nothing follows
 
-In a car that slides little, a and V γ are nearly equal. Where a and V γ are further apart than y
-and w, one of the two is wrong, and denies nothing.
+A car that slides little has nearly equal a and V γ. Where a and V γ are further apart than y and w,
+the yaw rate or the acceleration is wrong, and the witness denies nothing.
 
-Where y and w agree against p, the sensor is *acquitted*: d̂ shows no fault of the sensor. A lying
-sensor may have had a loss confirmed before the witness could contradict; the model without the loss
-then is near w, and the loss is *refuted*.
+Where y and w agree against p, the sensor is *acquitted*: d̂ shows a fault of another place. A wrong
+sensor may have confirmed a loss before the first contradiction; the model without that loss is
+near w, and the loss is *refuted*.
 
-A denied sensor is believed again after ``working`` samples in agreement, of a moving car, or once
-the witness is found wrong. A witness that stays away for long says nothing.
+``working`` samples in agreement, of a moving car, end the denial of a sensor; so does a witness
+that is found wrong. A witness that stays away for long gives no information.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ def stand_in(constants: Constants, own: State, expected: float) -> float:
 
 @firmware
 def turn_to_witness(own: State, difference: float) -> None:
-    """The sensor is denied: C forgets it at once, for what C did with it was wrong."""
+    """The sensor is denied: C gets the witness at once, without a fade from wrong numbers."""
     own.difference, own.fading = difference, real(0.0, difference)
     own.elapsed = max(own.elapsed, real(1.0, difference))
 
