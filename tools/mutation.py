@@ -1,8 +1,7 @@
 """Mutation testing: whether a test fails for every small change of the code.
 
-A mutant that no test notices is a gap in the tests, or stands in ``tools/mutation.toml`` with the
-reason why no test can notice the mutant. ``build/mutation.jsonl`` keeps the results, so a later run
-tries only what is new or survived.
+A mutant that no test notices is a gap in the tests, or changes nothing that a test can see.
+``build/mutation.jsonl`` keeps the results, so a later run tries only what is new or survived.
 
 The tests of a module are those of the folder that mirrors its room. One session of pytest imports
 and collects them, measures which file of tests enters which function, and forks for each mutant:
@@ -28,7 +27,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import tomllib
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -52,7 +50,6 @@ from rich.table import Table
 
 CHECKOUT: Final = Path(__file__).parents[1]
 TREE: Final = CHECKOUT / "build" / "mutation"  # a copy, so that work on the checkout can go on
-SETTINGS: Final = Path(__file__).with_suffix(".toml")
 FOUND: Final = CHECKOUT / "build" / "mutation.jsonl"
 OPTIONS: Final = (
     *("-q", "-s", "--tb=no", "-p", "no:cacheprovider"),
@@ -77,13 +74,8 @@ class Site:
         """The name of the mutant in `FOUND`."""
         return f"{self.module} {hashlib.sha1(self.mutant.source.encode()).hexdigest()}"
 
-    @property
-    def change(self) -> tuple[str, str]:
-        """The module, and the lines before and after, as in `SETTINGS`."""
-        return self.module, f"{self.mutant.before}  →  {self.mutant.after}"
-
     def __str__(self) -> str:
-        return f"{self.module}:{self.mutant.line}: {self.change[1]}"
+        return f"{self.module}:{self.mutant.line}: {self.mutant.before}  →  {self.mutant.after}"
 
 
 def modules(only: str = "*") -> list[str]:
@@ -113,25 +105,6 @@ def is_compiled(module: str) -> bool:
     """Whether numba compiles functions of a module; each mutant would be compiled anew."""
     text = (CHECKOUT / module).read_text("utf-8")
     return module.startswith("firmware_model/") or "firmware_model.compiled" in text
-
-
-def accepted(every: Sequence[Site]) -> set[tuple[str, str]]:
-    """The changes that no test can notice.
-
-    Raises:
-        SystemExit: one of the changes is no mutant of ``every`` (any longer), or has no reason.
-    """
-    listed = set()
-    known = {site.change for site in every}
-    for entry in tomllib.loads(SETTINGS.read_text("utf-8")).get("accepted", []):
-        for line in entry["changes"]:
-            change = entry["module"], line
-            if change not in known:
-                sys.exit(f"error: {SETTINGS.name}: no such mutant: {'  '.join(change)}")
-            if not entry.get("reason"):
-                sys.exit(f"error: {SETTINGS.name}: a reason must be given for {'  '.join(change)}")
-            listed.add(change)
-    return listed
 
 
 def changed_lines(revision: str) -> dict[str, set[int]]:
@@ -532,22 +505,20 @@ def run_batch(tests: str, batch: Sequence[Site], asked: argparse.Namespace) -> N
             sys.exit(f"error: {failed}, fails on the unchanged code: its results are taken back")
 
 
-def report(every: Sequence[Site], listed: set[tuple[str, str]]) -> bool:
+def report(every: Sequence[Site]) -> bool:
     """Print a row for each module, then the survivors; whether there are none."""
     known = found()
     table = Table(box=None, pad_edge=False)
-    for heading in ("module", "mutants", "noticed", "survived", "accepted", "not run"):
+    for heading in ("module", "mutants", "noticed", "survived", "not run"):
         table.add_column(heading, justify="left" if heading == "module" else "right")
     survivors = []
     total = Counter[str]()
     for module in dict.fromkeys(site.module for site in every):
         row = Counter[str]()
         for site in (site for site in every if site.module == module):
-            state = "noticed" if known.get(site.key) else "survived"
-            if state == "survived" and site.change in listed:
-                state = "accepted"
-            elif site.key not in known:
-                state = "not run"
+            state = "not run"
+            if site.key in known:
+                state = "noticed" if known[site.key] else "survived"
             survivors += [site] if state == "survived" else []
             row += Counter([state, "mutants"])
         total += row
@@ -560,7 +531,7 @@ def report(every: Sequence[Site], listed: set[tuple[str, str]]) -> bool:
 
 
 def main() -> int:
-    """Run the mutants; 1 if a mutant survived that has no reason."""
+    """Run the mutants; 1 if a mutant survived."""
     if sys.argv[1:] == ["--one"]:
         return one_with_fresh_imports()
     parser = argparse.ArgumentParser(
@@ -581,9 +552,7 @@ def main() -> int:
     parser.add_argument("--fresh", action="store_true", help="forget earlier results")
     parser.add_argument("--list", action="store_true", help="run nothing, report earlier results")
     asked = parser.parse_args()
-    every = sites(modules())
-    listed = accepted(every)
-    every = [site for site in every if fnmatch(site.module, asked.only)]
+    every = sites(modules(asked.only))
     if asked.changed is not None:
         lines = changed_lines(asked.changed or landed())
         every = [s for s in every if lines.get(s.module, set()) & {*s.mutant.lines}]
@@ -591,7 +560,7 @@ def main() -> int:
         every = random.Random(asked.seed).sample(every, min(asked.sample, len(every)))
     FOUND.parent.mkdir(exist_ok=True)
     if asked.list:
-        return 0 if report(every, listed) else 1
+        return 0 if report(every) else 1
     with FOUND.with_suffix(".lock").open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -602,7 +571,7 @@ def main() -> int:
         known = found()
         batches: dict[tuple[bool, str], list[Site]] = defaultdict(list)
         for site in every:
-            if site.change not in listed and not known.get(site.key):
+            if not known.get(site.key):
                 tests = asked.tests or tests_of(site.module)
                 batches[is_compiled(site.module), tests].append(site)
         # The same examples for every mutant: tests/conftest.py.
@@ -611,7 +580,7 @@ def main() -> int:
         for (interpreted, tests), batch in batches.items():
             os.environ["NUMBA_DISABLE_JIT"] = str(int(interpreted))
             run_batch(tests, batch, asked)
-    return 0 if report(every, listed) else 1
+    return 0 if report(every) else 1
 
 
 if __name__ == "__main__":

@@ -20,7 +20,6 @@ ELSEWHERE = {
     "flood": "tests/rig/nodes/test_flood.py",
     "fuzz": "tests/rig/fuzz/test_fuzz.py",
     "mutation": "tests/project/test_mutation.py",
-    "mutation_c": "tests/project/test_mutation_c.py",
     "release": "tests/project/test_release.py",
     "scenario_keys": "tests/project/test_scenario_keys.py",
     "setup": "tests/project/test_lock.py",
