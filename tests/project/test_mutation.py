@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import ast
-import fcntl
 import importlib
-import json
 import shutil
 import subprocess
 import sys
@@ -73,7 +71,7 @@ def test_each_mutant_of_the_product_is_another_module() -> None:
 
     every = mutation.sites(mutation.modules())
     assert len(every) > 1000
-    assert len({site.key for site in every}) == len(every)
+    assert len({(site.module, site.mutant.source) for site in every}) == len(every)
     for site in every[::199]:
         ast.parse(site.mutant.source)  # a syntax error is no mutant
 
@@ -162,14 +160,12 @@ def test_what_survives_is_told_until_a_test_notices(project: Path) -> None:
     assert done.returncode == 1, done.stderr
     (survivor,) = [line for line in done.stdout.splitlines() if line.startswith("survived")]
     assert survivor == "survived: can_rig/clip.py:4: if value < 0:  →  if (value <= 0):"
-    known = [json.loads(line) for line in (project / "build/mutation.jsonl").open()]
-    assert {each["killer"] for each in known} >= {None, "timeout"}  # a loop without an end
     assert (project / "can_rig" / "clip.py").read_text() == CODE
     clip_tests = project / "tests" / "rig" / "test_clip.py"
     clip_tests.write_text(f"{TESTS}\ndef test_zero():\n    assert str(clip(-0.0)) == '-0.0'\n")
     done = run(project)
     assert done.returncode == 0, done.stderr
-    assert "tests/rig: 1 mutants" in done.stderr  # all the others are known
+    assert "survived" not in done.stderr
 
 
 def test_tests_that_fail_anyway_prove_nothing(project: Path) -> None:
@@ -203,14 +199,3 @@ def test_a_copy_that_breaks_half_way_proves_nothing(project: Path, code: str, fa
     done = run(project)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].startswith(f"error: {failing} on the unchanged code")
-    assert "taken back" in done.stderr.splitlines()[-1]
-    assert (project / "build/mutation.jsonl").read_text() == ""
-
-
-def test_two_runs_at_once_are_refused(project: Path) -> None:
-    (project / "build").mkdir()
-    with (project / "build" / "mutation.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        done = run(project)
-    assert done.returncode == 1
-    assert done.stderr == "error: another run of tools/mutation is under way; it must end first\n"

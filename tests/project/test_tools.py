@@ -29,12 +29,10 @@ ELSEWHERE = {
 """By tool, the tests that are about it."""
 
 NOT_TESTED = {
-    "kill_workers": "campaigns with killed workers more than 10 s; tests/rig/campaigns kills one",
     "lock": "asks the package index for every version",
     "record_drives": "would write to this checkout where a drive is no longer the same",
     "run": "its setup may install; can-rig run has tests of its own",
     "same_bytes": "compiles for every board and emulates each: more than 30 s",
-    "speeds": "drives 50 s with four controllers: more than 10 s",
     "test": "runs all of this",
 }
 
