@@ -1,4 +1,4 @@
-"""Rates of the lockstep loop, of a log decoded (bench_decode.py), a campaign, or the law in C.
+"""Rates of the lockstep loop, of a log decoded (bench_decode.py), of a filter.
 
 Interleaved, so that a noisy machine disturbs all alike; medians.
 """
@@ -131,44 +131,23 @@ def step_plant(simulated: SimulatedPlant) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    kinds = ("loop", "decode", "campaign", "c", "filter", "plants")
+    kinds = ("loop", "decode", "filter")
     parser.add_argument("what", nargs="?", choices=kinds, default="loop")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds [5]")
     parser.add_argument("--seconds", type=float, default=5.0, help="loop: simulated time a run [5]")
     parser.add_argument(
         "--frames", type=int, default=1_000_000, help="decode: length of the log [1000000]"
     )
-    parser.add_argument(
-        "--dbc", nargs="*", type=Path, default=[], help="decode: wide databases, too"
-    )
-    parser.add_argument("--runs", type=int, default=1000, help="campaign: of each [1000]")
-    parser.add_argument("--workers", type=int, default=2, help="campaign: processes [2]")
     parser.add_argument("--filters", type=int, default=1000, help="filter: random ones [1000]")
-    parser.add_argument("--seeds", type=int, default=15, help="plants: runs of each [15]")
     options = parser.parse_args()
     if options.what == "decode":
         from bench_decode import bench_decode  # noqa: PLC0415 (asammdf is slow to import)
-        from bench_wide import bench_wide  # noqa: PLC0415 (as above)
 
         bench_decode(options.frames, options.rounds)
-        for database in options.dbc or [None]:
-            bench_wide(database, options.frames // 10, options.rounds)
-    elif options.what == "campaign":
-        from bench_campaign import bench_campaign  # noqa: PLC0415 (control is slow to import)
-
-        bench_campaign(options.runs, options.workers)
-    elif options.what == "c":
-        from bench_c import bench_c  # noqa: PLC0415 (as above)
-
-        bench_c()
     elif options.what == "filter":
         from bench_filter import bench_filter  # noqa: PLC0415 (as above)
 
         bench_filter(options.rounds, options.filters)
-    elif options.what == "plants":
-        from bench_plants import bench_plants  # noqa: PLC0415 (as above)
-
-        bench_plants(options.seeds)
     else:
         bench_loop(options.rounds, options.seconds)
 

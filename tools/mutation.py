@@ -1,8 +1,6 @@
 """Mutation testing: whether a test fails for every small change of the code.
 
-A mutant that no test notices is a gap in the tests, or stands in ``tools/mutation.toml`` with the
-reason why no test can notice the mutant. ``build/mutation.jsonl`` keeps the results, so a later run
-tries only what is new or survived.
+A mutant that no test notices is a gap in the tests, or changes nothing that a test can see.
 
 The tests of a module are those of the folder that mirrors its room. One session of pytest imports
 and collects them, measures which file of tests enters which function, and forks for each mutant:
@@ -13,14 +11,11 @@ code that runs at import needs a process with fresh imports.
 from __future__ import annotations
 
 import argparse
-import fcntl
 import gc
-import hashlib
 import importlib.util
 import json
 import math
 import os
-import random
 import re
 import shutil
 import signal
@@ -28,14 +23,13 @@ import subprocess
 import sys
 import tempfile
 import time
-import tomllib
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatch
-from functools import cached_property, partial
+from functools import partial
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from multiprocessing import connection, get_context
 from multiprocessing.connection import Connection
@@ -52,8 +46,6 @@ from rich.table import Table
 
 CHECKOUT: Final = Path(__file__).parents[1]
 TREE: Final = CHECKOUT / "build" / "mutation"  # a copy, so that work on the checkout can go on
-SETTINGS: Final = Path(__file__).with_suffix(".toml")
-FOUND: Final = CHECKOUT / "build" / "mutation.jsonl"
 OPTIONS: Final = (
     *("-q", "-s", "--tb=no", "-p", "no:cacheprovider"),
     *("-m", "not vcan and not compiled and not long"),
@@ -72,18 +64,8 @@ class Site:
     module: str
     mutant: Mutant
 
-    @cached_property
-    def key(self) -> str:
-        """The name of the mutant in `FOUND`."""
-        return f"{self.module} {hashlib.sha1(self.mutant.source.encode()).hexdigest()}"
-
-    @property
-    def change(self) -> tuple[str, str]:
-        """The module, and the lines before and after, as in `SETTINGS`."""
-        return self.module, f"{self.mutant.before}  →  {self.mutant.after}"
-
     def __str__(self) -> str:
-        return f"{self.module}:{self.mutant.line}: {self.change[1]}"
+        return f"{self.module}:{self.mutant.line}: {self.mutant.before}  →  {self.mutant.after}"
 
 
 def modules(only: str = "*") -> list[str]:
@@ -115,25 +97,6 @@ def is_compiled(module: str) -> bool:
     return module.startswith("firmware_model/") or "firmware_model.compiled" in text
 
 
-def accepted(every: Sequence[Site]) -> set[tuple[str, str]]:
-    """The changes that no test can notice.
-
-    Raises:
-        SystemExit: one of the changes is no mutant of ``every`` (any longer), or has no reason.
-    """
-    listed = set()
-    known = {site.change for site in every}
-    for entry in tomllib.loads(SETTINGS.read_text("utf-8")).get("accepted", []):
-        for line in entry["changes"]:
-            change = entry["module"], line
-            if change not in known:
-                sys.exit(f"error: {SETTINGS.name}: no such mutant: {'  '.join(change)}")
-            if not entry.get("reason"):
-                sys.exit(f"error: {SETTINGS.name}: a reason must be given for {'  '.join(change)}")
-            listed.add(change)
-    return listed
-
-
 def changed_lines(revision: str) -> dict[str, set[int]]:
     """The lines of each file that differ from a revision of git, in the working tree.
 
@@ -163,14 +126,6 @@ def landed() -> str:
         if not done.returncode:
             return done.stdout.strip()
     return "HEAD"
-
-
-def found() -> dict[str, str | None]:
-    """By key of each mutant tried in earlier runs, the test that noticed."""
-    if not FOUND.exists():
-        return {}
-    lines = map(json.loads, FOUND.read_text("utf-8").splitlines())
-    return {line["key"]: line["killer"] for line in lines}
 
 
 # In a session of pytest: a child for each mutant.
@@ -280,7 +235,7 @@ class Session:
         gc.collect()
         gc.freeze()
         work = partial(self._tried, items, known, entered, at_import)
-        jobs = {site.key: site for site in self._batch}
+        jobs = dict(enumerate(self._batch))
         usual_s = sum(self._cpu_s.values())
         for key, answer in in_children(work, jobs, self._workers, WAITS_S + 100 * usual_s):
             self._kills[answer or ""] += 1
@@ -365,12 +320,12 @@ def _file(item: pytest.Item) -> str:
 
 
 def in_children(
-    work: Callable[[Any], Any], jobs: Mapping[str, Any], workers: int, longest_s: float
-) -> Iterator[tuple[str, Any]]:
+    work: Callable[[Any], Any], jobs: Mapping[int, Any], workers: int, longest_s: float
+) -> Iterator[tuple[int, Any]]:
     """Each key of ``jobs`` with the answer of ``work`` in a forked child; None: it gave none."""
     fork = get_context("fork")
     waiting = list(jobs)[::-1]
-    running: dict[Any, tuple[str, Connection, float, str]] = {}
+    running: dict[Any, tuple[int, Connection, float, str]] = {}
     try:
         while waiting or running:
             while waiting and len(running) < workers:
@@ -398,7 +353,7 @@ def in_children(
 
 
 def _one(work: Callable[[], Any]) -> Any:
-    ((_, answer),) = in_children(lambda _: work(), {"": None}, 1, math.inf)
+    ((_, answer),) = in_children(lambda _: work(), {0: None}, 1, math.inf)
     return answer
 
 
@@ -435,8 +390,8 @@ class _InMemory(SourceFileLoader):
         return importlib.util.spec_from_loader(name, self) if name == self.name else None
 
 
-def with_fresh_imports(tests: str, longest_s: float, module: str, source: str) -> str | None:
-    """The folder of tests that notices a text of a module in a process with fresh imports."""
+def with_fresh_imports(tests: str, longest_s: float, module: str, source: str) -> str:
+    """The folder of tests that notices a module's text in a process with fresh imports, or ""."""
     job = json.dumps([module, source, tests])
     command = [sys.executable, __file__, "--one"]
     try:
@@ -446,7 +401,7 @@ def with_fresh_imports(tests: str, longest_s: float, module: str, source: str) -
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         return TIMEOUT
-    return f"{tests}, imported anew" if done.returncode else None
+    return f"{tests}, imported anew, fails" if done.returncode else ""
 
 
 def one_with_fresh_imports() -> int:
@@ -470,7 +425,7 @@ def copy_tree() -> None:
 
 
 def run_room(tests: str, batch: Sequence[Site], asked: argparse.Namespace) -> Iterator[Any]:
-    """By key of each mutant what noticed; last a text, empty unless the tests fail unchanged."""
+    """By number of each mutant the test; last a text, empty unless the tests fail unchanged."""
     fork = get_context("fork")
     receiver, sender = fork.Pipe(duplex=False)
 
@@ -494,65 +449,52 @@ def run_room(tests: str, batch: Sequence[Site], asked: argparse.Namespace) -> It
         process.join()
 
 
-def run_batch(tests: str, batch: Sequence[Site], asked: argparse.Namespace) -> None:
-    """Try the mutants of the modules that share a folder of tests.
+def killers(tests: str, batch: Sequence[Site], asked: argparse.Namespace) -> dict[Site, str]:
+    """The test that notices each mutant of the modules that share a folder of tests, or "".
 
     Raises:
         SystemExit: the tests fail on the unchanged code, before or after the mutants.
     """
-    left = {site.key: site for site in batch}
+    found: dict[Site, str] = {}
     anew: list[Site] = []
     begun_s = time.monotonic()
     print(f"{tests}: {len(batch)} mutants ...", file=sys.stderr, flush=True)
-    with FOUND.open("a", encoding="utf-8") as log:
-        start = log.tell()
 
-        def keep(key: str, killer: str | None) -> None:
-            print(json.dumps({"key": key, "killer": killer}), file=log, flush=True)
-            if killer is None:
-                print(f"survived: {left[key]}", file=sys.stderr, flush=True)
+    def keep(site: Site, killer: str) -> None:
+        found[site] = killer
+        if not killer:
+            print(f"survived: {site}", file=sys.stderr, flush=True)
 
-        for answer in run_room(tests, batch, asked):
-            if isinstance(answer, str):
-                if answer:
-                    log.truncate(start)
-                    sys.exit(f"error: {answer}: the results of {tests} are taken back")
-            elif answer[1] == NEEDS_IMPORT:
-                anew.append(left[answer[0]])
-            else:
-                keep(answer[0], answer[1] or None)
-        longest_s = WAITS_S + 10 * (time.monotonic() - begun_s)
-        tried = partial(with_fresh_imports, tests, longest_s)
-        with ThreadPoolExecutor(asked.workers) as pool:
-            killers = pool.map(lambda site: tried(site.module, site.mutant.source), anew)
-            for site, killer in zip(anew, killers, strict=True):
-                keep(site.key, killer)
-        if anew and (failed := tried(anew[0].module, (TREE / anew[0].module).read_text("utf-8"))):
-            log.truncate(start)
-            sys.exit(f"error: {failed}, fails on the unchanged code: its results are taken back")
+    for answer in run_room(tests, batch, asked):
+        if isinstance(answer, str):
+            if answer:
+                sys.exit(f"error: {answer}")
+        elif answer[1] == NEEDS_IMPORT:
+            anew.append(batch[answer[0]])
+        else:
+            keep(batch[answer[0]], answer[1])
+    longest_s = WAITS_S + 10 * (time.monotonic() - begun_s)
+    tried = partial(with_fresh_imports, tests, longest_s)
+    with ThreadPoolExecutor(asked.workers) as pool:
+        answers = pool.map(lambda site: tried(site.module, site.mutant.source), anew)
+        for site, killer in zip(anew, answers, strict=True):
+            keep(site, killer)
+    if anew and (failed := tried(anew[0].module, (TREE / anew[0].module).read_text("utf-8"))):
+        sys.exit(f"error: {failed} on the unchanged code")
+    return found
 
 
-def report(every: Sequence[Site], listed: set[tuple[str, str]]) -> bool:
+def report(found: Mapping[Site, str]) -> bool:
     """Print a row for each module, then the survivors; whether there are none."""
-    known = found()
     table = Table(box=None, pad_edge=False)
-    for heading in ("module", "mutants", "noticed", "survived", "accepted", "not run"):
+    for heading in ("module", "mutants", "noticed", "survived"):
         table.add_column(heading, justify="left" if heading == "module" else "right")
-    survivors = []
-    total = Counter[str]()
-    for module in dict.fromkeys(site.module for site in every):
-        row = Counter[str]()
-        for site in (site for site in every if site.module == module):
-            state = "noticed" if known.get(site.key) else "survived"
-            if state == "survived" and site.change in listed:
-                state = "accepted"
-            elif site.key not in known:
-                state = "not run"
-            survivors += [site] if state == "survived" else []
-            row += Counter([state, "mutants"])
-        total += row
-        table.add_row(module, *(str(row[str(c.header)]) for c in table.columns[1:]))
-    table.add_row("", *(str(total[str(c.header)]) for c in table.columns[1:]))
+    mutants_of = Counter(site.module for site in found)
+    survivors = [site for site, killer in found.items() if not killer]
+    survived_of = Counter(site.module for site in survivors)
+    for module, count in [*mutants_of.items(), ("", len(found))]:
+        survived = survived_of[module] if module else len(survivors)
+        table.add_row(module, str(count), str(count - survived), str(survived))
     Console().print(table)
     for site in survivors:
         print(f"survived: {site}")
@@ -560,7 +502,7 @@ def report(every: Sequence[Site], listed: set[tuple[str, str]]) -> bool:
 
 
 def main() -> int:
-    """Run the mutants; 1 if a mutant survived that has no reason."""
+    """Run the mutants; 1 if a mutant survived."""
     if sys.argv[1:] == ["--one"]:
         return one_with_fresh_imports()
     parser = argparse.ArgumentParser(
@@ -572,46 +514,27 @@ def main() -> int:
     )  # fmt: skip
     parser.add_argument("--only", default="*", metavar="GLOB", help="modules, such as '*/law/*'")
     parser.add_argument("--tests", metavar="PATH", help="instead of those of the module's room")
-    parser.add_argument("--sample", type=int, metavar="N", help="so many mutants, by chance")
-    parser.add_argument("--seed", type=int, default=0, help="of the sample [0]")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N")
     parser.add_argument(
         "--below", type=float, default=2.0, metavar="S", help="only tests quicker than this [2 s]"
     )
-    parser.add_argument("--fresh", action="store_true", help="forget earlier results")
-    parser.add_argument("--list", action="store_true", help="run nothing, report earlier results")
     asked = parser.parse_args()
-    every = sites(modules())
-    listed = accepted(every)
-    every = [site for site in every if fnmatch(site.module, asked.only)]
+    every = sites(modules(asked.only))
     if asked.changed is not None:
         lines = changed_lines(asked.changed or landed())
         every = [s for s in every if lines.get(s.module, set()) & {*s.mutant.lines}]
-    if asked.sample is not None:
-        every = random.Random(asked.seed).sample(every, min(asked.sample, len(every)))
-    FOUND.parent.mkdir(exist_ok=True)
-    if asked.list:
-        return 0 if report(every, listed) else 1
-    with FOUND.with_suffix(".lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            sys.exit("error: another run of tools/mutation is under way; it must end first")
-        if asked.fresh:
-            FOUND.unlink(missing_ok=True)
-        known = found()
-        batches: dict[tuple[bool, str], list[Site]] = defaultdict(list)
-        for site in every:
-            if site.change not in listed and not known.get(site.key):
-                tests = asked.tests or tests_of(site.module)
-                batches[is_compiled(site.module), tests].append(site)
-        # The same examples for every mutant: tests/conftest.py.
-        os.environ.update(CI="1", OPENBLAS_NUM_THREADS="1", PYTEST_TIMEOUT="3600")
-        copy_tree()
-        for (interpreted, tests), batch in batches.items():
-            os.environ["NUMBA_DISABLE_JIT"] = str(int(interpreted))
-            run_batch(tests, batch, asked)
-    return 0 if report(every, listed) else 1
+    batches: dict[tuple[bool, str], list[Site]] = defaultdict(list)
+    for site in every:
+        tests = asked.tests or tests_of(site.module)
+        batches[is_compiled(site.module), tests].append(site)
+    # The same examples for every mutant: tests/conftest.py.
+    os.environ.update(CI="1", OPENBLAS_NUM_THREADS="1", PYTEST_TIMEOUT="3600")
+    copy_tree()
+    found: dict[Site, str] = {}
+    for (interpreted, tests), batch in batches.items():
+        os.environ["NUMBA_DISABLE_JIT"] = str(int(interpreted))
+        found |= killers(tests, batch, asked)
+    return 0 if report(found) else 1
 
 
 if __name__ == "__main__":

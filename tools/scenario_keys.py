@@ -44,13 +44,15 @@ def page(schema: dict[str, Any]) -> str:
     """
     meanings = tomllib.loads(MEANINGS.read_text(encoding="utf-8"))
     text = [HEADER]
-    for section, table in sections(schema):
-        text.append(f"\n## {f'`[{section}]`' if section else 'Top level'}\n\n")
-        explained = meanings.pop(section or "top", {})
-        text.append(explained.pop("", ""))
+    kinds = {kind: meanings.pop(kind) for kind in schema["$defs"] if kind in meanings}
+    for section, kind, table in sections(schema):
+        text.append(f"\n## {f'`[{section}]`' if section else 'Top level'}\n")
+        explained = kinds.get(kind, {}) | meanings.pop(section or "top", {})
+        if introduction := explained.pop("", ""):
+            text.append(f"\n{introduction}\n")
         if section == "model":
             continue  # the keys of the plant once more
-        text.append("| key | unit | default | allowed | meaning |\n|---|---|---|---|---|\n")
+        text.append("\n| key | unit | default | allowed | meaning |\n|---|---|---|---|---|\n")
         for key, field in table.items():
             meaning = one_meaning(f"{section}.{key}", field, explained.pop(key, None))
             cells = (f"`{key}`", unit(key), default(field), allowed(field), meaning)
@@ -62,21 +64,22 @@ def page(schema: dict[str, Any]) -> str:
     return "".join(text)
 
 
-def sections(schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The keys of the top level, then each table with its keys, then the tables in it."""
+def sections(schema: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Name, settings and keys of the top level, then of each table, then of the tables in it."""
     fields = {key: field for key, field in schema["properties"].items() if key != "name"}
-    yield from _tables("", fields, schema["$defs"])
+    yield from _tables("", "Scenario", fields, schema["$defs"])
 
 
 def _tables(
-    section: str, fields: dict[str, Any], definitions: dict[str, Any]
-) -> Iterator[tuple[str, dict[str, Any]]]:
-    yield section, {key: field for key, field in fields.items() if _table(field) is None}
+    section: str, kind: str, fields: dict[str, Any], definitions: dict[str, Any]
+) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    yield section, kind, {key: field for key, field in fields.items() if _table(field) is None}
     for key, field in fields.items():
         table = _table(field)
         if table is not None and section != "model":  # the model has the plant's keys
-            inner = definitions[table.split("/")[-1]]["properties"]
-            yield from _tables(f"{section}.{key}".lstrip("."), inner, definitions)
+            inner = table.split("/")[-1]
+            name = f"{section}.{key}".lstrip(".")
+            yield from _tables(name, inner, definitions[inner]["properties"], definitions)
 
 
 def _table(field: dict[str, Any]) -> str | None:

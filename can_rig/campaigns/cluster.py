@@ -72,10 +72,7 @@ class _Cluster:
         try:
             yield from self._computed(tasks)
         except (OSError, CancelledError, asyncio.CancelledError):
-            raise WorkersLostError(
-                f"--scheduler {self._scheduler}: went away; what is done is kept, and --resume "
-                "goes on"
-            ) from None
+            raise WorkersLostError(f"--scheduler {self._scheduler}: went away") from None
 
     def _computed(self, tasks: Iterable[Task]) -> Done:
         from distributed import KilledWorker  # noqa: PLC0415 (an extra)
@@ -136,7 +133,7 @@ class _Cluster:
         if not self._client.nthreads():
             raise WorkersLostError(
                 f"--scheduler {self._scheduler}: all workers have gone, and none has come back "
-                f"within {ABSENCE_S:g} s; what is done is kept, and --resume goes on"
+                f"within {ABSENCE_S:g} s"
             )
 
     def _wanted(self) -> int:

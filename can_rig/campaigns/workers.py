@@ -148,7 +148,7 @@ def deaths_after(before: int, first: Task) -> int:
     if before + 1 == DEATHS:
         raise WorkersLostError(
             f"runs {first.begin} to {first.end - 1}: the worker died {DEATHS} times; "
-            "is there enough memory? what is done is kept, and --resume goes on"
+            "is there enough memory?"
         )
     return before + 1
 

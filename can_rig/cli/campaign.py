@@ -20,7 +20,7 @@ from can_rig.campaigns.statistics import Cross, Summary
 from can_rig.campaigns.workers import Compute, in_processes, serially
 from can_rig.cli.options import json_option, set_option
 from can_rig.cli.output import counting, json_line, say, table, wide
-from can_rig.errors import INTERRUPTED
+from can_rig.errors import INTERRUPTED, WorkersLostError
 from can_rig.nodes.bus_access import StopRequest
 
 
@@ -118,11 +118,13 @@ def _told(folder: CampaignFolder) -> Iterator[None]:
     """Print the campaign's folder at any end of the campaign; remove a folder without runs."""
     try:
         yield
-    except BaseException:
+    except BaseException as error:
         if folder.done == 0:
             folder.made.give_up()
         else:
             say(f"campaign folder  {folder.path}")
+            if isinstance(error, WorkersLostError):
+                error.args = (f"{error}; what is done is kept, and --resume goes on",)
         raise
 
 

@@ -12,6 +12,9 @@ from can_rig.cli.options import bus_option
 from can_rig.cli.output import say
 from can_rig.frames import operator_frames
 from can_rig.nodes.operating import operate
+from can_rig.plant.faults.injection import kinds_of
+from can_rig.scenario.fault_settings import CHANNELS
+from can_rig.scenario.sensor_settings import MEASURED
 
 DO: dict[str, operator_frames.Action] = {
     "clear": "CLEAR",
@@ -26,9 +29,8 @@ NEGATIVE: Final = re.compile(r"-\.?\d")
 
 def _kinds(place: str) -> dict[str, str]:
     """What can be wrong with ``place``: the word on the command line → the kind."""
-    prefix = "sensor-" if place == "sensor" else "actuator-"
-    its = (kind for kind in operator_frames.kinds() if kind.startswith((prefix, "frames-")))
-    return {kind.removeprefix(prefix): kind for kind in its}
+    prefix = "actuator-" if place in CHANNELS else "sensor-"
+    return {kind.removeprefix(prefix): kind for kind in kinds_of(place)}
 
 
 class _WithNegatives(click.Command):
@@ -61,15 +63,30 @@ class _WithNegatives(click.Command):
     f"{operator_frames.LONGEST_S:g} in steps of 0.1.  [default: until it is cleared]",
 )
 @click.option("--value", type=float, help="The fault's one number, in the unit of what fails.")
-def command(what: str, how: str | None, bus: str, for_s: float | None, value: float | None) -> None:
+@click.option("--with", "other", type=click.Choice(MEASURED), help="The sensor swapped with WHAT.")
+def command(
+    what: str,
+    how: str | None,
+    bus: str,
+    for_s: float | None,
+    value: float | None,
+    other: str | None,
+) -> None:
     """Inject or clear a fault in a running simulation: inject torque dead --for 2, inject clear.
 
-    WHAT is torque, force-difference or sensor, with a failure HOW: dead (--value: the remaining
-    share), stuck, offset, drift, oscillating, rate-limited, late; a sensor is biased rather than
-    offset. The frames of each can fail too: missing, corrupted, repeated, late or forged, as in
-    frames-late. Or WHAT is clear [all or one target], reference MPS2 (added to the scenario's
-    reference), pace TIMES-REAL-TIME (also ends a pause), pause, or step TICKS (of a paused run).
+    WHAT is torque, force-difference, sensor (of D*), or a further sensor of the scenario: yaw-rate,
+    lateral-acceleration, steering-angle, torque-echo, force-difference-echo. HOW is the failure:
+    dead (--value: the remaining share), stuck, offset, drift, oscillating, rate-limited, late; a
+    sensor is biased rather than offset, or scaled. A further sensor is also invalid, tick-stuck or
+    swapped (--with), and an echo lying. The frames of each can fail too: missing, corrupted,
+    repeated, late or forged, as in frames-late. Or WHAT is clear [all or one target], reference
+    MPS2 (added to the scenario's reference), pace TIMES-REAL-TIME (also ends a pause), pause, or
+    step TICKS (of a paused run).
     """
+    if (other is None) == (how == "swapped"):
+        raise click.UsageError("--with: must name the other sensor of a swap, and nothing else")
+    if other is not None:
+        value = operator_frames.places().index(other)
     asked = _command(what, how, for_s, value)
     with open_bus(bus) as opened:
         operate(opened, bus, asked)

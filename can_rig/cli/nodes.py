@@ -26,7 +26,6 @@ from can_rig.cli.options import (
     silence_option,
 )
 from can_rig.cli.output import counting, json_line, tell
-from can_rig.controllers.making import controller_of
 from can_rig.errors import INTERRUPTED, LogError, RigError
 from can_rig.nodes.bus_access import OnTick, StopRequest, Throttled, Timeouts
 from can_rig.nodes.realtime import timing
@@ -154,6 +153,8 @@ def controller_node(
     In real time a controller may start, or restart, while the car drives: the controller listens
     for 50 ms, then takes over without a bump.
     """
+    from can_rig.controllers.making import controller_of  # noqa: PLC0415 (a plant needs none)
+
     timeouts = Timeouts(first_s, Timeouts.silence_s if silence_s is None else silence_s)
     chosen = load(scenario, settings)
     running = controller_of(controller, chosen)

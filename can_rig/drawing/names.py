@@ -41,10 +41,14 @@ class Names(NamedTuple):
         """The signal that ``fault`` takes away or falsifies; of a restart, the controller."""
         if fault.place == CONTROLLER:
             return Signal(CONTROLLER)
-        if fault.place in MEASURED:
+        return self.at(fault.place)
+
+    def at(self, place: str) -> Signal:
+        """The signal of an actuator or a sensor, by the word of a fault's place."""
+        if place in MEASURED:
             units = ("rad/s", "m/s²", "rad", self.command_1.unit, self.command_2.unit)
-            return Signal(fault.place.replace("-", " "), units[MEASURED.index(fault.place)])
-        return self[(1, 2, 0)[PLACES.index(fault.place)]]
+            return Signal(place.replace("-", " "), units[MEASURED.index(place)])
+        return self[(1, 2, 0)[PLACES.index(place)]]
 
 
 CAR: Final = Names(

@@ -20,6 +20,8 @@ SEQUENCES: Final = 255
 
 ALL: Final = "all"
 """Means every place."""
+CLEAR_ALL: Final = "CLEAR_ALL"
+"""The frame's action of a ``CLEAR`` of every place."""
 
 SHORTEST_S: Final = 0.1
 LONGEST_S: Final = 25.5
@@ -91,8 +93,8 @@ def kinds() -> tuple[str, ...]:
 
 
 def places() -> tuple[str, ...]:
-    """What can fail: both channels and the sensor."""
-    return tuple(word for word in _choices("Place").values() if word != ALL)
+    """What can fail: both channels, the sensor of D*, and the further sensors."""
+    return tuple(_choices("Place").values())
 
 
 @cache
@@ -125,13 +127,14 @@ def read_taken(message: Message) -> tuple[int, Command] | None:
 def _command_message(name: str, command: Command, sequence: int) -> Message:
     value = _message("RIG_CONTROL").get_signal_by_name("Value")
     low, high = float(value.minimum or 0), float(value.maximum or 0)
+    clears_all = command.action == "CLEAR" and command.place == ALL
     data = {
         "Checksum": 0,
         "AliveCounter": 0,
-        "Action": command.action,
+        "Action": CLEAR_ALL if clears_all else command.action,
         "Sequence": sequence,
         "Kind": command.kind or 0,
-        "Place": command.place,
+        "Place": 0 if command.place == ALL else command.place,
         "HasValue": command.value is not None,
         "Duration": 0.0
         if command.duration_s is None
@@ -151,6 +154,10 @@ def _read_command(name: str, message: Message) -> tuple[int, Command] | None:
     action, kind, place = (str(said[name]) for name in ("Action", "Kind", "Place"))
     if action not in _choices("Action").values():
         return None
+    if action == CLEAR_ALL:
+        action, place = "CLEAR", ALL
+    elif action not in {"INJECT", "CLEAR"}:
+        place = ALL
     injects = action == "INJECT"
     if injects != (kind in kinds()):
         return None

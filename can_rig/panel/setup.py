@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any, Final
 
@@ -10,9 +11,10 @@ import numpy as np
 from can_rig.drawing.names import HOW, Names, names_of, with_unit
 from can_rig.frames import operator_frames
 from can_rig.frames.network import Network
+from can_rig.plant.faults.injection import key_of, kinds_of
 from can_rig.results.curves import charts_of, curves_of
 from can_rig.results.motion import dead_of, setting_of
-from can_rig.scenario.fault_settings import CHANNELS, NUMBER, SENSOR
+from can_rig.scenario.fault_settings import CHANNELS, PLACES, SENSOR, SWAPPED
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 
@@ -48,7 +50,7 @@ def setup(scenario: Scenario, network: Network, confirm: float | None) -> dict[s
         "curves": [asdict(curve) for curve in curves],
         "charts": [asdict(chart) for chart in charts],
         "confirm": confirm,
-        "places": _places(names),
+        "places": _places(scenario, names),
         "quick": _quick(names),
         "moved_by": float(f"{MOVED_BY * amplitude:.2g}"),
         "output": names.output._asdict(),
@@ -57,22 +59,33 @@ def setup(scenario: Scenario, network: Network, confirm: float | None) -> dict[s
     }
 
 
-def _places(names: Names) -> list[dict[str, Any]]:
+def _places(scenario: Scenario, names: Names) -> list[dict[str, Any]]:
     """Every place that can fail, with the faults of the place."""
-    places = []
-    for place in operator_frames.places():
-        signal = names[(1, 2, 0)[(*CHANNELS, SENSOR).index(place)]]
-        own = "sensor-" if place == SENSOR else "actuator-"
-        kinds = []
-        for kind in operator_frames.kinds():
-            if kind.startswith((own, "frames-")):
-                words, unit = NUMBERS.get(NUMBER.get(kind, ""), (None, ""))
-                value = None if words is None else with_unit(words, unit.format(unit=signal.unit))
-                how = kind.removeprefix(own).replace("-", " ")
-                kinds.append({"kind": kind, "words": how, "value": value})
-        sensor = " sensor" if place == SENSOR else ""
-        places.append({"place": place, "words": f"{signal.name}{sensor}", "kinds": kinds})
-    return places
+    its = [each.measures for each in scenario.sensors]
+    return [
+        {
+            "place": place,
+            "words": f"{names.at(place).name}{'' if place in CHANNELS else ' sensor'}",
+            "kinds": list(_kinds(place, names.at(place).unit, its)),
+        }
+        for place in (*PLACES, *its)
+    ]
+
+
+def _kinds(place: str, unit: str, sensors: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """The faults of a place; two swapped sensors are a fault for each other sensor."""
+    for kind in kinds_of(place):
+        how = kind.removeprefix("actuator-" if place in CHANNELS else "sensor-").replace("-", " ")
+        if kind == SWAPPED:
+            for other in sensors:
+                if other != place:
+                    pair = f"{how} with the {other.replace('-', ' ')}"
+                    number = operator_frames.places().index(other)
+                    yield {"kind": kind, "words": pair, "value": None, "number": number}
+            continue
+        words, its_unit = NUMBERS.get(key_of(kind, place), (None, ""))
+        value = None if words is None else with_unit(words, its_unit.format(unit=unit))
+        yield {"kind": kind, "words": how, "value": value}
 
 
 def _quick(names: Names) -> list[dict[str, Any]]:

@@ -31,7 +31,7 @@ from firmware_model.analysis.witnesses import (
     with_readings,
 )
 from firmware_model.design.actuator_dynamics import IDEAL, Stage
-from firmware_model.design.vehicle import SPECIFIC_FORCE, WORLD
+from firmware_model.design.vehicle import SPECIFIC_FORCE
 from firmware_model.law.structs import FloatArray
 
 LONGEST_STEP_S = 5e-4
@@ -39,8 +39,6 @@ LONGEST_STEP_S = 5e-4
 
 CAR_STATES = ("side_slip_rad", "yaw_rate_rad_per_s", None, "steering_angle_rad")
 """State names of the linear car, in state order."""
-
-_CALM: Final[FloatArray] = np.zeros(len(WORLD))
 
 
 class PlantBehind(Protocol):
@@ -115,7 +113,7 @@ class LinearBehind:
         # Compile before the first tick, on a separate memory.
         follow(self._constants, self.sampled.memory, 0, 0.0, 0.0, 1.0, 1.0)
         self._tick = 0
-        self.read(0.0, 0.0, 1.0, 1.0, _CALM)
+        self.read(0.0, 0.0, 1.0, 1.0)
         self._output = 0.0
         self._names = CAR_STATES if settings.is_car else ()
         at = len(continuous_car(settings).a)
@@ -191,7 +189,7 @@ class LinearBehind:
         output, read = follow(
             self._constants, self.memory, self._tick, command_1, command_2, left_1, left_2
         )
-        self.read(command_1, command_2, left_1, left_2, _CALM)
+        self.read(command_1, command_2, left_1, left_2)
         self.moved(output)
         return output, read
 
@@ -204,27 +202,15 @@ class LinearBehind:
             acting_before(self._constants, self.memory, self._tick, command_2, left_2, 1),
         )
 
-    def read(
-        self,
-        command_1: float,
-        command_2: float,
-        left_1: float,
-        left_2: float,
-        world: FloatArray,
-    ) -> None:
+    def read(self, command_1: float, command_2: float, left_1: float, left_2: float) -> None:
         """Read the further sensors at the tick to which ``memory`` has advanced.
 
-        Args:
-            command_1: of the tick before; likewise the three next.
-            command_2: see ``command_1``.
-            left_1: see ``command_1``.
-            left_2: see ``command_1``.
-            world: its inputs at the new tick.
+        The commands, and what faults left of them, are those of the tick before.
         """
         if len(self.witnesses):
             acted = self.acted(command_1, command_2, left_1, left_2)
             readings = self.sampled.readings.constants
-            read_witnesses(readings, self.memory[0], world, *acted, self.witnesses)
+            read_witnesses(readings, self.memory[0], *acted, self.witnesses)
 
     def moved(self, output: float) -> None:
         """Record a tick that advanced ``memory``; ``output`` is D* of the car."""

@@ -18,7 +18,6 @@ from can_rig.plant.behind import (
     sampled_plant,
 )
 from can_rig.plant.disturbances import BANK, BLOCK, Disturbances
-from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.driving import SpeedProfile, speed_profile
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
@@ -31,11 +30,9 @@ from firmware_model.analysis.changing_plant import (
     read_changing,
     specific_force,
 )
-from firmware_model.analysis.pushed_plant import PushedPlant, follow_pushed, pushed_plant, witness
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.witnesses import with_readings
-from firmware_model.analysis.world_loop import run_changing, run_pushed
-from firmware_model.design.vehicle import GRAVITY_MPS2, SPECIFIC_FORCE
+from firmware_model.analysis.world_loop import run_changing
+from firmware_model.design.vehicle import GRAVITY_MPS2
 from firmware_model.law.structs import FloatArray
 
 ACCELERATIONS: Final = ("specific_force_mps2", "lateral_acceleration_mps2")
@@ -50,13 +47,11 @@ def plant_of(scenario: Scenario) -> PlantBehind:
     """
     made = Disturbances(scenario)
     world = made if scenario.disturbances or not made.is_calm else None
-    if scenario.drive.is_given or (world and world.changes_friction and not scenario.plant.is_own):
+    if scenario.drive.is_given or (world is not None and not scenario.plant.is_own):
         return ChangingCar(scenario, world)
     if world is None:
         return plant_behind(scenario.plant, scenario.tick_s, scenario.sensors)
-    if scenario.plant.is_own:
-        return ClassBehind(scenario.plant, scenario.tick_s, scenario.sensors, world)
-    return PushedCar(scenario, world)
+    return ClassBehind(scenario.plant, scenario.tick_s, scenario.sensors, world)
 
 
 def linear_plant(scenario: Scenario) -> SampledPlant | None:
@@ -83,16 +78,8 @@ def _changing(
     )
 
 
-@remembered(4)
-def _pushed(settings: PlantSettings, tick_s: float, sensors: Sensors) -> PushedPlant:
-    plant, readings = with_readings(
-        continuous_plant(settings), settings.stages, readings_of(sensors)
-    )
-    return pushed_plant(plant, tick_s, readings)
-
-
 class ChangingCar:
-    """``LinearBehind`` with a changing speed, or on a changing road; see ``PlantBehind``."""
+    """``LinearBehind`` with a changing speed, or in a world that pushes; see ``PlantBehind``."""
 
     def __init__(self, scenario: Scenario, world: Disturbances | None = None) -> None:
         profile = (
@@ -187,63 +174,6 @@ class ChangingCar:
                 loop, some.start - ahead, some.stop - ahead, *output, self._constants,
                 self._car.memory, ahead, world, self._work,
                 self._changing.speeds(self._profile, some),
-            )  # fmt: skip
-        self._tick = end + ahead
-        return output
-
-
-class PushedCar:
-    """``LinearBehind`` that the world pushes, on a dry road; see ``PlantBehind``."""
-
-    def __init__(self, scenario: Scenario, world: Disturbances) -> None:
-        pushed = _pushed(scenario.plant, scenario.tick_s, scenario.sensors)
-        self._car = LinearBehind(scenario.plant, scenario.tick_s, scenario.sensors)
-        self.witnesses = self._car.witnesses
-        self._world, self._constants = world, pushed.constants
-        self._rows = pushed.rows, pushed.direct
-        self._tick = 0
-        calm = world.during(0)
-        follow_pushed(self._constants, self._car.sampled.memory, 0, 0.0, 0.0, 1.0, 1.0, calm)
-        witness(*self._rows, self._car.memory[0], calm, SPECIFIC_FORCE)  # compiles
-
-    def report(
-        self, command_1: float, command_2: float, left_1: float, left_2: float
-    ) -> Mapping[str, float]:
-        """See ``PlantBehind``."""
-        values = dict(self._car.report(command_1, command_2, left_1, left_2))
-        now = self._world.during(self._tick)
-        force = float(witness(*self._rows, self._car.memory[0], now, SPECIFIC_FORCE))
-        return values | self._world.report(self._tick) | accelerations(force, now)
-
-    def follow(
-        self, command_1: float, command_2: float, left_1: float, left_2: float
-    ) -> tuple[float, float]:
-        """See ``PlantBehind``."""
-        now = self._world.during(self._tick)
-        output, read = follow_pushed(
-            self._constants,
-            self._car.memory,
-            self._tick,
-            command_1,
-            command_2,
-            left_1,
-            left_2,
-            now,
-        )
-        self._car.read(command_1, command_2, left_1, left_2, now[1])
-        self._tick += 1
-        self._car.moved(output)
-        return output, read
-
-    def run_loop(
-        self, loop: Any, begin: int, end: int, output: tuple[float, float]
-    ) -> tuple[float, float]:
-        """See ``simulation.LoopPlant``."""
-        ahead = self._tick - begin
-        for some in _pages(self._tick, end + ahead):
-            output = run_pushed(
-                loop, some.start - ahead, some.stop - ahead, *output, self._constants,
-                self._car.memory, ahead, self._world.at(range(some.start, some.stop + 1)),
             )  # fmt: skip
         self._tick = end + ahead
         return output

@@ -47,7 +47,6 @@ class Disturbances:
         self.is_calm = not (self._parts or brought)
         """Whether nothing ever pushes, on a dry road."""
         self._page_at, self._page = -1, np.zeros((0, WORLD_ROW))
-        self.changes_friction = any(each.kind == "friction" for each, _ in self._parts)
 
     def during(self, tick: int) -> FloatArray:
         """(2, ``WORLD_ROW``), the world at ``tick`` and at the next, for ticks in any order."""

@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from can_rig import paged
 from can_rig.drawing.names import fault_label, names_of
 from can_rig.errors import RigError
 from can_rig.nodes.bus_access import StopRequest
@@ -51,32 +52,57 @@ class Tracks(NamedTuple):
     """Without compensation."""
 
 
-def track_of(scenario: Scenario, signals: Signals) -> Track | None:
-    """The track of a run's car; None: the plant reports no yaw rate or no side slip."""
+def track_of(scenario: Scenario, signals: Signals, step: int = 1) -> Track | None:
+    """The track of a run's car; None: the plant reports no yaw rate or no side slip.
+
+    Args:
+        scenario: the run.
+        signals: the recorded signals.
+        step: every ``step``-th tick is in the track.
+    """
     reported = signals.plant
     if YAW_RATE not in reported or SIDE_SLIP not in reported or not len(signals):
         return None
-    tick_s = scenario.tick_s
-    speed = reported.get("speed_mps", np.full(len(signals), scenario.plant.speed_mps))
-    heading = _integral(np.nan_to_num(reported[YAW_RATE]), tick_s)
-    course = heading + np.nan_to_num(reported[SIDE_SLIP])
-    speed = np.nan_to_num(speed)
-    x_m, y_m = (_integral(speed * part(course), tick_s) for part in (np.cos, np.sin))
-    return Track(x_m, y_m, heading)
+    speeds = reported.get("speed_mps")
+    turned, *gone = (_Integral(scenario.tick_s) for _ in Track._fields)
+    kept: list[list[FloatArray]] = [[] for _ in Track._fields]
+    for rows in paged.blocks(len(signals)):
+        heading = turned.over(np.nan_to_num(reported[YAW_RATE][rows]))
+        course = heading + np.nan_to_num(reported[SIDE_SLIP][rows])
+        speed = scenario.plant.speed_mps if speeds is None else np.nan_to_num(speeds[rows])
+        x_m, y_m = (
+            way.over(speed * part(course)) for way, part in zip(gone, (np.cos, np.sin), strict=True)
+        )
+        for some, values in zip(kept, (x_m, y_m, heading), strict=True):
+            some.append(values[-rows.start % step :: step].copy())  # no view of all ticks
+    return Track(*(np.concatenate(some) for some in kept))
 
 
-def _integral(values: FloatArray, tick_s: float) -> FloatArray:
-    """(ticks,), the integral from the first tick on, by the trapezoidal rule."""
-    steps = 0.5 * tick_s * (values[1:] + values[:-1])
-    return np.concatenate([[0.0], np.cumsum(steps)])
+class _Integral:
+    """The integral over the ticks of a run, part by part, by the trapezoidal rule."""
+
+    def __init__(self, tick_s: float) -> None:
+        self._tick_s = tick_s
+        self._total = 0.0
+        self._last: float | None = None
+
+    def over(self, values: FloatArray) -> FloatArray:
+        """(n,), from the first tick of the run to each of the next n ticks."""
+        before = np.concatenate([[values[0] if self._last is None else self._last], values])
+        steps = 0.5 * self._tick_s * (before[1:] + before[:-1])
+        if self._last is None:
+            steps[0] = 0.0
+        total: FloatArray = np.cumsum(np.concatenate([[self._total], steps]))[1:]
+        self._total, self._last = float(total[-1]), float(values[-1])
+        return total
 
 
-def tracks(scenario: Scenario, signals: Signals) -> Tracks | None:
-    """The tracks of a run; None: the plant is no car that reports its motion.
+def tracks(scenario: Scenario, signals: Signals, step: int = 1) -> Tracks | None:
+    """The tracks of a run, every ``step``-th tick; None: the plant is no car that reports motion.
 
     Long runs, runs that need a bus and other controllers have the driven track alone.
     """
-    driven = track_of(scenario, signals)
+    driven = track_of(scenario, signals, step)
     if driven is None:
         return None
     simple = scenario.controller.is_ours and network_of(scenario).is_the_rigs
@@ -84,16 +110,16 @@ def tracks(scenario: Scenario, signals: Signals) -> Tracks | None:
     if not simple or not begins or len(signals) > MOST_TICKS:
         return Tracks(driven, None, None)
     whole = replace(scenario, duration_s=len(signals) * scenario.tick_s)
-    lane = _track_of_run(replace(whole.undisturbed, disturbance=()))
+    lane = _track_of_run(replace(whole.undisturbed, disturbance=()), step)
     off = replace(whole, design=replace(whole.design, compensation="off"))
     needs_bus = any(fault.needs_a_bus for fault in scenario.faults)
     hit = bool(scenario.faults or scenario.disturbances)
     is_off = scenario.design.compensation == "off"
-    without = None if needs_bus or not hit or is_off else _track_of_run(off)
+    without = None if needs_bus or not hit or is_off else _track_of_run(off, step)
     return Tracks(driven, lane, without)
 
 
-def _track_of_run(scenario: Scenario) -> Track | None:
+def _track_of_run(scenario: Scenario, step: int) -> Track | None:
     """The track of another run; the recorded frames of that run are not kept."""
     with TemporaryDirectory() as folder:
         log = Path(folder) / "bus.log"
@@ -102,7 +128,7 @@ def _track_of_run(scenario: Scenario) -> Track | None:
         except RigError:  # a car that leaves its model
             return None
         assert columns is not None
-        return track_of(scenario, signals_of_columns(columns, scenario.tick_s, log))
+        return track_of(scenario, signals_of_columns(columns, scenario.tick_s, log), step)
 
 
 def scene(scenario: Scenario, signals: Signals) -> dict[str, Any] | None:
@@ -115,24 +141,28 @@ def scene(scenario: Scenario, signals: Signals) -> dict[str, Any] | None:
         return None
     step = max(1, round(1.0 / (ROWS_PER_S * scenario.tick_s)))
     applied_1, applied_2 = applied_commands(scenario, signals)
-    columns = {"time": signals.time_s, "applied_1": applied_1, "applied_2": applied_2}
-    found = tracks(scenario, signals) if scenario.plant.is_car or _moves(signals) else None
+    drawn = {"time": signals.time_s, "applied_1": applied_1, "applied_2": applied_2}
+    columns: dict[str, FloatArray] = {}
+    found = tracks(scenario, signals, step) if scenario.plant.is_car or _moves(signals) else None
     if found is not None:
-        columns["steering"] = signals.plant.get(STEERING, np.zeros(len(signals)))
+        drawn["steering"] = signals.plant.get(STEERING, np.zeros(len(signals)))
         for prefix, track in zip(("", "lane_", "other_"), found, strict=True):
             if track is not None:
                 for name, values in track._asdict().items():
                     columns[prefix + name.rpartition("_")[0]] = values
     else:
-        columns |= {"output": signals.dstar_mps2, "reference": signals.reference_mps2}
+        drawn |= {"output": signals.dstar_mps2, "reference": signals.reference_mps2}
     setting = setting_of(scenario)
     if setting is None or (found is None) == (setting["kind"] == "car"):
         return None
+    for name, values in drawn.items():
+        columns[name] = values[::step].copy()
+        paged.let_go()
     return {
         **setting,
         "dead": dead_of(scenario),
         "other": "without compensation",
-        "columns": {name: values[::step] for name, values in columns.items()},
+        "columns": columns,
     }
 
 

@@ -52,7 +52,7 @@ class Readings:
     @property
     def constants(self) -> Any:
         """The constants of ``read_witnesses``, for compiled code."""
-        return self.rows, self.direct, self.acting
+        return self.rows, self.acting
 
 
 @dataclass(frozen=True)
@@ -168,26 +168,21 @@ def acting_before(
 
 
 @firmware
-def read_witnesses(
-    constants: Any, x: Any, world: Any, acted_1: float, acted_2: float, found: Any
-) -> None:
-    """The readings at a tick, into ``found`` (r,).
+def read_witnesses(constants: Any, x: Any, acted_1: float, acted_2: float, found: Any) -> None:
+    """The readings at a tick in a calm world, into ``found`` (r,).
 
     Args:
         constants: of the ``Readings``.
         x: (n,), the state.
-        world: (m,) or more, the world's inputs.
         acted_1: what acted on input 1 just before.
         acted_2: on input 2.
         found: filled in.
     """
-    rows, direct, acting = constants
+    rows, acting = constants
     for each in range(len(found)):
         total = acting[each, 0] * acted_1 + acting[each, 1] * acted_2
         for j in range(len(x)):
             total += rows[each, j] * x[j]
-        for j in range(direct.shape[1]):
-            total += direct[each, j] * world[j]
         found[each] = total
 
 

@@ -1,4 +1,4 @@
-"""The compiled ticks of a loop with a car that the world pushes, or whose speed or road changes."""
+"""The compiled ticks of a loop with a car whose speed changes, or that the world pushes."""
 
 from __future__ import annotations
 
@@ -6,37 +6,7 @@ from typing import Any
 
 from firmware_model.analysis.changing_plant import follow_changing
 from firmware_model.analysis.loop import tick
-from firmware_model.analysis.pushed_plant import follow_pushed
 from firmware_model.compiled import firmware_run
-
-
-@firmware_run
-def run_pushed(
-    loop: Any, begin: int, end: int, y: float, read: float, plant: Any, memory: Any, ahead: int,
-    world: Any,
-) -> tuple[float, float]:  # fmt: skip
-    """Ticks from ``begin`` to ``end`` of a loop with a ``PushedPlant``.
-
-    Args:
-        loop: the first seven arguments of ``loop.tick``.
-        begin: the first tick of the loop.
-        end: the tick after the last tick.
-        y: the output of the plant at ``begin``.
-        read: the sensor's reading at ``begin``.
-        plant: the constants of ``follow_pushed``.
-        memory: of the plant; changed in place.
-        ahead: number of the plant's ticks before the first tick of the loop.
-        world: (end - begin + 1, m or more), see ``follow_pushed``.
-    """
-    tables, controllers, inputs, grid, actuators, signals, states = loop
-    left = inputs[3]
-    for k in range(begin, end):
-        u1, u2 = tick(tables, controllers, inputs, grid, actuators, signals, states, k, y, read)
-        at = k - begin
-        y, read = follow_pushed(
-            plant, memory, k + ahead, u1, u2, left[k, 0], left[k, 1], world[at : at + 2]
-        )
-    return y, read
 
 
 @firmware_run
@@ -44,10 +14,20 @@ def run_changing(
     loop: Any, begin: int, end: int, y: float, read: float, plant: Any, memory: Any, ahead: int,
     world: Any, work: Any, speeds: Any,
 ) -> tuple[float, float]:  # fmt: skip
-    """``run_pushed`` of a ``ChangingPlant``.
+    """Ticks from ``begin`` to ``end`` of a loop with a ``ChangingPlant``.
 
-    ``work`` and ``speeds`` are those of ``follow_changing``, the latter for every tick from
-    ``begin`` to ``end``.
+    Args:
+        loop: the first seven arguments of ``loop.tick``.
+        begin: the first tick of the loop.
+        end: the tick after the last tick.
+        y: the output of the plant at ``begin``.
+        read: the sensor's reading at ``begin``.
+        plant: the constants of ``follow_changing``.
+        memory: of the plant; changed in place.
+        ahead: number of the plant's ticks before the first tick of the loop.
+        world: (end - begin + 1, ``WORLD_ROW``), or ``NO_WORLD``.
+        work: see ``follow_changing``.
+        speeds: see ``follow_changing``, for every tick from ``begin`` to ``end``.
     """
     tables, controllers, inputs, grid, actuators, signals, states = loop
     left = inputs[3]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import shutil
 import subprocess
-import sys
 from functools import cache
 from pathlib import Path
 
@@ -104,70 +103,3 @@ def test_only_commands_and_heavy_libraries_excuse_an_import_within_a_function() 
         and (late := [name for name in imports_within_functions(path) if not is_heavy(name)])
     }
     assert unexcused == {}
-
-
-# Broken arrows, and what the contracts say of each.
-BROKEN = (
-    ("can_rig/frames/codec.py", "from can_rig.nodes import lockstep", "codec -> can_rig.nodes"),
-    (
-        "can_rig/scenario/reference.py",
-        "def late():\n    from can_rig.plant import faults",
-        "reference -> can_rig.plant",
-    ),
-    ("can_rig/logs/frames.py", "from can_rig.frames import codec", "frames -> can_rig.frames"),
-    (
-        "firmware_model/law/filters/biquad.py",
-        "from firmware_model.design import zpk",
-        "biquad -> firmware_model.design.zpk",
-    ),
-    ("firmware_model/design/zpk.py", "import can_rig.errors", "zpk -> can_rig.errors"),
-    ("firmware_model/firmware.py", "import can", "firmware_model.firmware -> can "),
-    ("firmware_model/compiled.py", "import time", "firmware_model.compiled -> time "),
-    (
-        "can_rig/frames/codec.py",
-        "from can_rig.frames import network",
-        "cycles are allowed in can_rig.frames.",
-    ),
-    ("can_rig/attic/__init__.py", "from can_rig import errors", "- can_rig.attic "),
-)
-
-
-@pytest.fixture
-def copy(tmp_path: Path) -> Path:
-    """Both packages without their data, to be broken."""
-    folder = tmp_path / "copy"
-    for path in [*sources(*PACKAGES), CHECKOUT / "pyproject.toml"]:
-        target = folder / path.relative_to(CHECKOUT)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(path, target)
-    return folder
-
-
-def lint(folder: Path) -> subprocess.CompletedProcess[str]:
-    command = [str(Path(sys.executable).with_name("lint-imports")), "--no-logo"]
-    return subprocess.run(  # PYTHONPATH would put the checkout before the copy
-        command,
-        cwd=folder,
-        env={"COLUMNS": "200"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-
-
-def test_the_contracts_are_kept(copy: Path) -> None:
-    done = lint(copy)
-    assert done.returncode == 0, done.stdout
-
-
-def test_the_contracts_object(copy: Path) -> None:
-    for name, statement, _ in BROKEN:
-        path = copy / name
-        path.parent.mkdir(exist_ok=True)
-        with path.open("a", encoding="utf-8") as file:
-            file.write(f"\n{statement}\n")
-    done = lint(copy)
-    assert done.returncode == 1
-    objections = " ".join(done.stdout.split())
-    assert [said for *_, said in BROKEN if said not in objections] == []

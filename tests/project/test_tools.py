@@ -20,7 +20,6 @@ ELSEWHERE = {
     "flood": "tests/rig/nodes/test_flood.py",
     "fuzz": "tests/rig/fuzz/test_fuzz.py",
     "mutation": "tests/project/test_mutation.py",
-    "mutation_c": "tests/project/test_mutation_c.py",
     "release": "tests/project/test_release.py",
     "scenario_keys": "tests/project/test_scenario_keys.py",
     "setup": "tests/project/test_lock.py",
@@ -30,12 +29,10 @@ ELSEWHERE = {
 """By tool, the tests that are about it."""
 
 NOT_TESTED = {
-    "kill_workers": "campaigns with killed workers more than 10 s; tests/rig/campaigns kills one",
     "lock": "asks the package index for every version",
     "record_drives": "would write to this checkout where a drive is no longer the same",
     "run": "its setup may install; can-rig run has tests of its own",
     "same_bytes": "compiles for every board and emulates each: more than 30 s",
-    "speeds": "drives 50 s with four controllers: more than 10 s",
     "test": "runs all of this",
 }
 

@@ -16,6 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from can_rig import paged
 from firmware_model.law.structs import FloatArray
 
 _HERE = Path(__file__).parent
@@ -161,22 +162,31 @@ def on_one_axis(
     end = max(float(time_s[-1]) for time_s, _ in curves)
     parts = min(MOST_POINTS // 2, sum(len(time_s) for time_s, _ in curves))
     width = (end - begin) / parts or 1.0
-    columns = []
-    for time_s, values in curves:
-        part = np.minimum(((time_s - begin) / width).astype(np.int64), parts - 1)
-        starts = np.flatnonzero(np.diff(part, prepend=-1))
-        ends = np.append(starts[1:], len(part)) - 1
-        least, greatest = (f.reduceat(values, starts) for f in (np.fmin, np.fmax))
-        rising = values[starts] <= values[ends]
-        column = np.full((parts, 2), np.nan)
-        column[part[starts], 0] = np.where(rising, least, greatest)
-        column[part[starts], 1] = np.where(
-            starts == ends, np.nan, np.where(rising, greatest, least)
-        )
-        columns.append(column.ravel())
+    columns = [_extremes(time_s, values, begin, width, parts) for time_s, values in curves]
     known = np.isfinite(np.stack(columns)).any(axis=0)
-    times = begin + 0.5 * width * np.arange(2 * parts)
+    times = begin + 0.5 * width * np.arange(2 * parts, dtype=np.float64)
     return times[known], [column[known] for column in columns]
+
+
+def _extremes(
+    time_s: FloatArray, values: FloatArray, begin: float, width: float, parts: int
+) -> FloatArray:
+    """(2 parts,), the least and the greatest value of each part in the order of the curve."""
+    least, greatest, first, last = np.full((4, parts), np.nan)
+    count = np.zeros(parts, dtype=np.int64)
+    for rows in paged.blocks(len(time_s)):
+        part = np.minimum(((time_s[rows] - begin) / width).astype(np.int64), parts - 1)
+        starts = np.flatnonzero(np.diff(part, prepend=-1))
+        ends, at, some = np.append(starts[1:], len(part)), part[starts], values[rows]
+        least[at] = np.fmin(least[at], np.fmin.reduceat(some, starts))
+        greatest[at] = np.fmax(greatest[at], np.fmax.reduceat(some, starts))
+        first[at] = np.where(count[at] == 0, some[starts], first[at])
+        last[at] = some[ends - 1]
+        count[at] += ends - starts
+    rising = first <= last
+    both = np.stack([np.where(rising, least, greatest), np.where(rising, greatest, least)], axis=1)
+    both[count < 2, 1] = np.nan
+    return both.ravel()
 
 
 def _numbers(time_s: FloatArray, columns: Mapping[str, FloatArray]) -> dict[str, Any]:

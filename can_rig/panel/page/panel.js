@@ -134,9 +134,10 @@ const inject = (kind, place, value) => order("inject", { kind, place, value: val
 function fill(select, options) { select.replaceChildren(...options.map(([value, words]) => new Option(words, value))); }
 
 const place = () => hello.places.find((each) => each.place === $("place").value);
+const kind = () => place().kinds[$("kind").selectedIndex];
 function showKinds() { fill($("kind"), place().kinds.map((each) => [each.kind, each.words])); showValue(); }
 function showValue() {
-  const words = place().kinds.find((each) => each.kind === $("kind").value).value;
+  const words = kind().value;
   $("value-name").textContent = words || "no value"; $("value").value = ""; showState();
 }
 function showMoved() {
@@ -158,7 +159,7 @@ function wire() {
   $("move").onchange = () => order("reference", { value: Number($("move").value) });
   $("place").onchange = showKinds;
   $("kind").onchange = showValue;
-  $("inject").onclick = () => inject($("kind").value, $("place").value, number("value"));
+  $("inject").onclick = () => inject(kind().kind, $("place").value, kind().number ?? number("value"));
   $("clear").onclick = () => order("clear", { place: "all" });
   $("save").onclick = () => order("save", { name: $("save-name").value || "my-scenario" });
 }

@@ -8,15 +8,27 @@ from typing import Final
 from pydantic import ValidationError
 
 from can_rig.errors import RigError
-from can_rig.frames.operator_frames import ALL, LONGEST_S, SHORTEST_S, Command, value_limits
+from can_rig.frames.operator_frames import (
+    ALL,
+    LONGEST_S,
+    SHORTEST_S,
+    Command,
+    kinds,
+    places,
+    value_limits,
+)
 from can_rig.scenario.fault_settings import (
     CHANNELS,
     MAX_LATE_TICKS,
     NUMBER,
+    OF_ECHOES,
+    OF_FURTHER_SENSORS,
     SENSOR,
+    SWAPPED,
     FaultSettings,
 )
 from can_rig.scenario.refusal import refusal
+from can_rig.scenario.sensor_settings import ECHOES, MEASURED
 from can_rig.scenario.settings import Scenario
 
 FAULT_ACTIONS: Final = ("INJECT", "CLEAR")
@@ -27,7 +39,7 @@ def injected(command: Command, tick: int, tick_ns: int) -> FaultSettings | None:
     """The fault of ``command``, from ``tick`` on; None: an unknown or impossible fault."""
     try:
         return _fault(command, tick * tick_ns / 1e9)
-    except (RigError, ValidationError):
+    except ValidationError:
         return None
 
 
@@ -54,8 +66,9 @@ def require_possible(command: Command) -> None:
 
 
 def _require_fault(command: Command) -> None:
-    kind, key = str(command.kind), NUMBER.get(str(command.kind))
-    if command.value is not None and key is None:
+    kind = str(command.kind)
+    key = key_of(kind, command.place)
+    if command.value is not None and not key:
         raise RigError(f"{kind}: has no value; it must be left out")
     if key == "late_ticks" and command.value is not None and command.value != round(command.value):
         raise RigError(f"{kind}: value {command.value:g}: must be a whole number of ticks")
@@ -63,25 +76,42 @@ def _require_fault(command: Command) -> None:
         _fault(command, 0.0)
     except ValidationError as error:
         said = refusal(error, FaultSettings)
-        raise RigError(f"{kind}: its value is {key}; {said}") from None
+        its = f"its value is {key}; " if key else ""
+        raise RigError(f"{kind}: {its}{said}") from None
+
+
+def kinds_of(place: str) -> tuple[str, ...]:
+    """The kinds of fault that ``place`` can have."""
+    if place in CHANNELS:
+        return tuple(each for each in kinds() if not each.startswith("sensor-"))
+    never = () if place in ECHOES else OF_ECHOES if place in MEASURED else OF_FURTHER_SENSORS
+    return tuple(each for each in kinds() if not each.startswith("actuator-") and each not in never)
+
+
+def key_of(kind: str, place: str) -> str:
+    """The key of the number of a fault; empty: the fault has none."""
+    if kind == SWAPPED:
+        return "other"
+    if kind == "sensor-biased" and place in MEASURED:
+        return "offset"
+    return NUMBER.get(kind, "")
 
 
 def _fault(command: Command, at_s: float) -> FaultSettings:
     """The fault that ``command`` requests.
 
     Raises:
-        RigError: the place never fails in this way.
-        ValidationError: a number out of bounds.
+        ValidationError: a number out of bounds, or the place never fails in this way.
     """
-    kind = command.kind or ""
+    kind, place, value = command.kind or "", command.place, command.value
     values: dict[str, object] = {"kind": kind, "at_s": at_s}
-    if command.place in CHANNELS or (command.place == SENSOR and kind.startswith("frames-")):
-        values["channel"] = command.place
-    elif not kind.startswith("sensor-"):
-        raise RigError(f"{kind}: of {command.place}: must be of {' or '.join(CHANNELS)}")
-    key = NUMBER.get(kind)
-    if command.value is not None and key is not None:
-        values[key] = round(command.value) if key == "late_ticks" else command.value
+    if place != SENSOR or not kind.startswith("sensor-"):
+        values["channel"] = place
+    key = key_of(kind, place)
+    if value is not None and kind == SWAPPED:
+        values[key] = dict(enumerate(places())).get(int(value))
+    elif value is not None and key:
+        values[key] = round(value) if key == "late_ticks" else value
     if command.duration_s is not None:
         values["for_s"] = command.duration_s
     return FaultSettings(**values)  # type: ignore[arg-type]
@@ -110,7 +140,10 @@ class Injection:
         late = sum(each.late_ticks for each in faults if each.kind.endswith("-late"))
         if late > MAX_LATE_TICKS:
             return False
-        self.scenario = replace(self.scenario, fault=faults)
+        try:
+            self.scenario = replace(self.scenario, fault=faults)
+        except ValidationError:  # of a sensor that the scenario lacks
+            return False
         return True
 
     def clear(self, place: str, tick: int) -> None:

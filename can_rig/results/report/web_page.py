@@ -46,6 +46,7 @@ def panels(scenario: Scenario, network: Network, signals: Signals) -> list[Panel
     names, charts = names_of(scenario.plant), charts_of(names_of(scenario.plant), None)
     looks = {curve.key: curve for curve in curves_of(names, network, None)}
     beside, label, distance = compared_with(scenario, signals)
+    far = apart(beside, signals, scenario.tick_s)
     unit = names.output.unit
     drawn = {
         "output": [
@@ -55,7 +56,7 @@ def panels(scenario: Scenario, network: Network, signals: Signals) -> list[Panel
         "error": [
             (
                 Curve("distance", distance, unit, "blue", 0.8),
-                np.maximum(apart(beside, signals, scenario.tick_s), network.feedback.lsb),
+                np.maximum(far, network.feedback.lsb, out=far),
             )
         ],
     }
@@ -94,8 +95,18 @@ def panels(scenario: Scenario, network: Network, signals: Signals) -> list[Panel
 
 def _remote(values: FloatArray, other: FloatArray) -> bool:
     """Whether a curve reaches so far that the axis would hide the other curve."""
-    finite, size = values[np.isfinite(values)], other[np.isfinite(other)]
-    return bool(len(finite) and len(size) and np.ptp(finite) > FAR * np.ptp(size))
+    reach, size = _span(values), _span(other)
+    return size >= 0.0 and reach > FAR * size
+
+
+def _span(values: FloatArray) -> float:
+    """From the least to the greatest finite value; negative without any."""
+    least, greatest = np.inf, -np.inf
+    for rows in paged.blocks(len(values)):
+        finite = values[rows][np.isfinite(values[rows])]
+        least = min(least, finite.min(initial=np.inf))
+        greatest = max(greatest, finite.max(initial=-np.inf))
+    return float(greatest - least)
 
 
 def recording(scenario: Scenario, network: Network, signals: Signals) -> Recording:

@@ -10,10 +10,9 @@ import pytest
 
 from firmware_model.analysis.changing_plant import changing_plant, follow_changing
 from firmware_model.analysis.hardware import EXACT_FRAMES, GAIN, HEALTHY, SENSOR, SLEW, frame_of
-from firmware_model.analysis.pushed_plant import follow_pushed, pushed_plant
 from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, sample
 from firmware_model.analysis.simulation import Simulation, Trace, simulate
-from firmware_model.analysis.world_loop import run_changing, run_pushed
+from firmware_model.analysis.world_loop import run_changing
 from firmware_model.design.actuator_dynamics import IDEAL
 from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.discretisation.tables import build
@@ -284,51 +283,44 @@ def test_the_firmware_as_any_controller_gives_the_bits_of_the_law(
 class Pushed:
     """A car in the world, whose ticks the loop compiles."""
 
-    def __init__(self, changes: bool) -> None:
+    def __init__(self) -> None:
         world = 50.0 * np.random.default_rng(2).normal(size=(TICKS + 1, 4))
-        self.tick, self.more = 0, ()
-        if not changes:
-            pushed = pushed_plant(CAR, TICK_S)
-            self.constants, self.memory, self.world = pushed.constants, pushed.sampled.memory, world
-            self.one, self.many = follow_pushed, run_pushed
-            return
+        self.world = np.hstack([world, np.ones((TICKS + 1, 2))])
         made = changing_plant(TABLE_3_2, "physics", (IDEAL, IDEAL, IDEAL), 40.0, TICK_S)
         n = len(made.b)
         self.memory = np.zeros(n), np.zeros(n), np.zeros((2, 2)), np.zeros(1)
-        self.constants, self.world = made.constants, np.hstack([world, np.ones((TICKS + 1, 2))])
-        self.more = made.work, made.speeds(lambda time_s: 10.0 + 0.0 * time_s, range(TICKS))
-        self.one, self.many = follow_changing, run_changing
+        self.constants, self.work, self.tick = made.constants, made.work, 0
+        self.speeds = made.speeds(lambda time_s: 10.0 + 0.0 * time_s, range(TICKS))
 
     def follow(self, *commands: float) -> tuple[float, float]:
         k = self.tick
         self.tick += 1
         world = self.world[k : k + 2]
-        if not self.more:
-            return self.one(self.constants, self.memory, k, *commands, world)
-        work, speeds = self.more
-        return self.one(self.constants, self.memory, work, speeds[k], k, *commands, world)
+        return follow_changing(
+            self.constants, self.memory, self.work, self.speeds[k], k, *commands, world
+        )
 
     def run_loop(
         self, loop: Any, begin: int, end: int, output: tuple[float, float]
     ) -> tuple[float, float]:
-        world = self.world[begin : end + 1]
-        more = (self.more[0], self.more[1][begin:end]) if self.more else ()
-        return self.many(loop, begin, end, *output, self.constants, self.memory, 0, world, *more)
+        world, speeds = self.world[begin : end + 1], self.speeds[begin:end]
+        return run_changing(
+            loop, begin, end, *output, self.constants, self.memory, 0, world, self.work, speeds
+        )
 
 
 class OneByOne:
     """The same car, tick by tick."""
 
-    def __init__(self, changes: bool) -> None:
-        self.follow = Pushed(changes).follow
+    def __init__(self) -> None:
+        self.follow = Pushed().follow
 
 
-@pytest.mark.parametrize("changes", [False, True])
-def test_compiled_ticks_of_a_car_in_the_world_have_the_bits_of_single_ticks(changes: bool) -> None:
-    together = Simulation(TABLE, Pushed(changes), REFERENCE, tick_s=TICK_S)
+def test_compiled_ticks_of_a_car_in_the_world_have_the_bits_of_single_ticks() -> None:
+    together = Simulation(TABLE, Pushed(), REFERENCE, tick_s=TICK_S)
     for until in (0, 7, TICKS):
         together.run(until)
-    single = simulate(TABLE, OneByOne(changes), REFERENCE, tick_s=TICK_S)
+    single = simulate(TABLE, OneByOne(), REFERENCE, tick_s=TICK_S)
     for name in ("measurement", "measured", "command_1", "command_2", "fault_estimate"):
         np.testing.assert_array_equal(getattr(together.trace, name), getattr(single, name))
     assert np.abs(single.measurement).max() > 0.0

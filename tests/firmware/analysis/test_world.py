@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import linalg
 
 from firmware_model.analysis.changing_plant import (
     NO_WORLD,
@@ -17,14 +18,12 @@ from firmware_model.analysis.changing_plant import (
     follow_changing,
     specific_force,
 )
-from firmware_model.analysis.pushed_plant import follow_pushed, pushed_plant, witness
 from firmware_model.analysis.sampled_plant import follow, sample
 from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
 from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.design.vehicle import (
     LOW_SPEED_MPS,
     TABLE_3_2,
-    WITNESSES,
     regular_speed,
     single_track,
     vehicle_state_space,
@@ -51,16 +50,6 @@ def inputs(seed=5, ticks=TICKS):
     return SIZES * np.random.default_rng(seed).normal(size=(ticks + 1, 4))
 
 
-def at_constant_speed(plant, world, given):
-    """Output and reading of every tick, and the states at its begin."""
-    pushed = pushed_plant(plant, TICK_S)
-    memory, found, states = pushed.sampled.memory, [], []
-    for k, u in enumerate(given):
-        states.append(memory[0].copy())
-        found.append(follow_pushed(pushed.constants, memory, k, *u, 1.0, 1.0, world[k : k + 2]))
-    return np.array(found), np.array(states), pushed
-
-
 def changing(world, given, speed, stages=IMMEDIATE, tick_s=TICK_S, left=(1.0, 1.0)):
     """Output and reading of every tick, and what an accelerometer reads at its begin."""
     made = changing_plant(TABLE_3_2, "physics", stages, 40.0, tick_s)
@@ -76,26 +65,6 @@ def changing(world, given, speed, stages=IMMEDIATE, tick_s=TICK_S, left=(1.0, 1.
         forces.append(specific_force(constants, memory[0], speed(k * tick_s), rows))
         found.append(follow_changing(constants, memory, work, speeds[k], k, *u, *left, rows))
     return np.array(found), np.array(forces), memory
-
-
-@pytest.mark.parametrize("stages", ALL)
-def test_at_constant_speed_the_world_acts_as_an_ode_solver_says(stages):
-    car = replace(TABLE_3_2, speed_mps=17.0)
-    world = inputs()
-    found, states, pushed = at_constant_speed(
-        behind(steer_by_wire(car), *stages), world, commands()
-    )
-    solved = Integrated(car, stages, TICK_S, commands(), np.hstack([world, DRY]), lambda _: 17.0)
-    expected = solved.answers()
-    assert np.abs(found - expected).max() < 1e-8 * np.abs(expected).max()
-    for k in (0, 7, 20):
-        x = solved.state(k * TICK_S)
-        read = [x[1], solved.accelerometer(k * TICK_S, x), x[3], x[2]]
-        rows = [
-            witness(pushed.rows, pushed.direct, states[k], world[k : k + 2], each)
-            for each in range(len(WITNESSES))
-        ]
-        assert rows == pytest.approx(read, rel=1e-7, abs=1e-10)
 
 
 def speeding(time_s):
@@ -141,23 +110,31 @@ def test_the_error_falls_with_the_fourth_power_of_the_tick():
     [(0.05, "physics"), (1.3, "published"), (2.0, "physics"), (25.0, "published")],
 )
 def test_a_constant_speed_and_road_is_exact(speed, variant):
-    """Both steps, and the plant of these conditions in one matrix."""
+    """By scipy's exponential of the plant of these conditions, its command and straight lines."""
     car, friction = replace(TABLE_3_2, speed_mps=speed), (0.4, 0.7)
     (a, b, c), at = single_track(car, variant, friction)
     plant = behind(Plant.from_state_space("slippery", a, b, c, at), *LAGS)
-    expected, states, pushed = at_constant_speed(plant, inputs(), commands())
+    around, n = plant.world, len(plant.a)
     made = changing_plant(car, variant, LAGS, 40.0, TICK_S)
     world = np.hstack([inputs(), np.tile(friction, (TICKS + 1, 1))])
-    memory, constants, work = pushed.sampled.memory, made.constants, made.work
+    memory, constants, work = sample(plant, TICK_S).memory, made.constants, made.work
     speeds = made.speeds(lambda time_s: np.full(time_s.shape, speed), range(TICKS))
-    found = []
+    x, found, expected = np.zeros(n), [], []
     for k, u in enumerate(commands()):
         rows = world[k : k + 2]
+        w, after = rows[:, :4]
         assert specific_force(constants, memory[0], speed, rows) == pytest.approx(
-            witness(pushed.rows, pushed.direct, states[k], rows, 1), rel=1e-9, abs=1e-9
+            around.rows[1] @ x + around.direct[1] @ w, rel=1e-9, abs=1e-9
         )
         found.append(follow_changing(constants, memory, work, speeds[k], k, *u, 1.0, 1.0, rows))
-    assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
+        rates = np.zeros((n + 2, n + 2))  # of the state, of 1 and of the part of the tick
+        rates[:n, :n], rates[n + 1, n] = plant.a, 1.0 / TICK_S
+        rates[:n, n] = plant.b @ u + around.e @ w
+        rates[:n, n + 1] = around.e @ (after - w)
+        x = (linalg.expm(rates * TICK_S) @ [*x, 1.0, 0.0])[:n]
+        output, read = plant.sensed @ x + around.f @ after, plant.c @ x + around.read @ after
+        expected.append((output[0], read[0]))
+    assert np.abs(np.subtract(found, expected)).max() < 1e-10 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("stages", ALL)
@@ -172,12 +149,12 @@ def test_at_a_constant_speed_without_a_world_it_is_the_sampled_plant(stages):
 def test_what_acts_together_is_the_sum_of_what_acts_alone():
     one, other = inputs(1), inputs(2)
     still = np.zeros((TICKS, 2))
-    plant = behind(steer_by_wire(), *DEAD)
-    together, *_ = at_constant_speed(plant, one + other, commands())
-    alone = [
-        at_constant_speed(plant, *given)[0]
-        for given in ((one, still), (other, still), (0.0 * one, commands()))
-    ]
+    together, *alone = (
+        changing(np.hstack([world, DRY]), given, speeding, DEAD)[0]
+        for world, given in (
+            (one + other, commands()), (one, still), (other, still), (0.0 * one, commands()),
+        )
+    )  # fmt: skip
     assert np.abs(sum(alone) - together).max() < 1e-12 * np.abs(together).max()
 
 
@@ -187,12 +164,6 @@ def test_a_calm_world_changes_no_bit(stages):
     quiet, *_ = changing(None, commands(), speeding, stages)
     pushed, *_ = changing(calm, commands(), speeding, stages)
     assert (quiet == pushed).all()
-    plant = behind(steer_by_wire(), *stages)
-    found, *_ = at_constant_speed(plant, calm, commands())
-    sampled = sample(plant, TICK_S)
-    memory = sampled.memory
-    alone = [follow(sampled.constants, memory, k, *u, 1.0, 1.0) for k, u in enumerate(commands())]
-    assert (found == alone).all()
 
 
 # --- from standstill to motorway ------------------------------------------------------------------

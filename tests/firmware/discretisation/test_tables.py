@@ -10,18 +10,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_model.design.actuator_dynamics import Stage, behind
 from firmware_model.design.continuous_design import (
     ContinuousDesign,
     DesignSpecification,
     design,
 )
+from firmware_model.design.mismatch import TRUSTED, Mismatch
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tables import algebraic_loop_gain, build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError, ParameterError
+from firmware_model.law.structs import MAX_LATENCY_TICKS
 from tests.firmware.discretisation.test_coprime import PENDULUM
+from tests.firmware.law.cases import other_cars
 
 DESIGN = design(steer_by_wire(), DesignSpecification())
 UNSTABLE = design(PENDULUM, DesignSpecification(alpha=2, tau_q_s=0.05, alpha_q=3))
@@ -87,3 +91,141 @@ def test_the_table_is_constant() -> None:
 def test_a_tick_that_is_no_tick_is_refused(tick_s: float) -> None:
     with pytest.raises(ParameterError, match="tick_s"):
         build(DESIGN, Target(tick_s))
+
+
+CLOSED = design(steer_by_wire(), DesignSpecification())
+OTHERS = other_cars()
+
+
+@pytest.mark.parametrize("cars", [TRUSTED, OTHERS])
+def test_the_test_looks_as_long_as_it_learns_and_doubts_where_cars_differ(cars: Mismatch) -> None:
+    table = build(CLOSED, Target(1e-3, mismatch=cars))
+    test = table.sequential_test
+    assert test.freshness == 0.1
+    assert (test.needed, test.promising) == (table.decision.confirm, table.decision.suspect)
+    others = cars is OTHERS
+    assert table.loss_model.least_doubt == (0.04 if others else 0.0)
+    # By how many deviations more than all must be lost: on a trusted car it cannot be.
+    assert test.deviations == 3.0 if others else test.deviations >= 1e9
+
+
+@pytest.mark.parametrize(("limit", "lsb", "possible"), [(10.3, 0.5, 10.0), (10.0, 0.1, 10.0)])
+def test_a_limit_is_what_the_frame_carries_within_it(
+    limit: float, lsb: float, possible: float
+) -> None:
+    actuators = build(CLOSED, Target(1e-3, limit_2=limit, lsb_2=lsb))
+    assert actuators.actuator_2.limit == pytest.approx(possible, rel=1e-15)
+    assert actuators.actuator_1.limit == math.inf
+
+
+TICK_S = 1e-3
+FAR = np.array([1e9 + 0j])  # z → ∞
+
+
+def late(first_s: float = 0.0, second_s: float = 0.0, sensor_s: float = 0.0) -> ContinuousDesign:
+    stages = (Stage(dead_time_s=dead_s) for dead_s in (first_s, second_s, sensor_s))
+    return design(behind(steer_by_wire(), *stages), DesignSpecification())
+
+
+@pytest.mark.parametrize("latency", [0, 2])
+def test_the_way_of_a_command_is_bus_actuator_and_sensor(latency: int) -> None:
+    """In whole ticks: 3.4 + 1 ms are 4, 4.7 + 1 ms are 6."""
+    estimator = build(late(0.0034, 0.0047, 0.001), Target(TICK_S, latency)).estimator
+    assert (estimator.dead_ticks_1, estimator.dead_ticks_2) == (4, 6)
+    assert (estimator.shown_ticks_1, estimator.shown_ticks_2) == (4 + latency, 6 + latency)
+    assert build(late(second_s=0.002), Target(TICK_S, latency)).estimator.feedthrough_2 == 0.0
+
+
+@pytest.mark.parametrize(
+    ("first_s", "second_s", "within_1", "within_2"),
+    [(0.0, 0.0, True, True), (0.002, 0.0, False, True), (0.0, 0.002, True, False)],
+)
+def test_a_command_in_its_dead_time_does_not_act_within_the_tick(
+    first_s: float, second_s: float, within_1: bool, within_2: bool
+) -> None:
+    """Then neither Q G1 of u1 nor F̂ (1 + Q) G2 of u2 is a loop without delay."""
+    plan = late(first_s, second_s)
+    table, filters = build(plan, Target(TICK_S)), discretise(plan, Target(TICK_S))
+    loop_1 = (filters.tracking(FAR) * filters.estimator_1(FAR))[0].real
+    loop_2 = (filters.compensator(FAR) * filters.one_plus_q(FAR) * filters.estimator_2(FAR))[0].real
+    assert min(loop_1, loop_2) > 1e-3
+    assert table.tracking.loop_inverse == pytest.approx(1.0 / (1.0 - loop_1 * within_1), rel=1e-6)
+    assert table.compensator.loop_inverse == pytest.approx(
+        1.0 / (1.0 - loop_2 * within_2), rel=1e-6
+    )
+    through = filters.estimator_2(FAR)[0].real
+    assert table.estimator.feedthrough_2 == pytest.approx(through * within_2, rel=1e-6)
+
+
+@pytest.mark.parametrize("channel", [1, 2])
+def test_a_dead_time_is_as_long_as_the_ring_at_most(channel: int) -> None:
+    def dead(ticks: int) -> ContinuousDesign:
+        return late(*(TICK_S * ticks if each == channel else 0.0 for each in (1, 2)))
+
+    estimator = build(dead(MAX_LATENCY_TICKS), Target(TICK_S)).estimator
+    assert estimator[f"dead_ticks_{channel}"] == MAX_LATENCY_TICKS
+    with pytest.raises(ParameterError) as caught:
+        build(dead(MAX_LATENCY_TICKS + 1), Target(TICK_S))
+    assert str(caught.value) == (
+        f"dead time of channel {channel}: 65 ticks; must be at most 64, 0.064 s"
+    )
+
+
+TINY = 5e-324
+POSITIVE = ("limit_1", "limit_2", "rate_1", "rate_2", "reference_acceleration")
+RATES = ("false_alarms_per_hour", "suspicions_per_hour")
+SIZES = ("lsb_1", "lsb_2", "noise_rms", "resolution", "safe_stop_s")
+
+ACCEPTED: list[dict[str, Any]] = [
+    {"latency_ticks": 0},
+    {"latency_ticks": MAX_LATENCY_TICKS},
+    *({name: value} for name in POSITIVE for value in (TINY, 0.5, math.inf)),
+    *({name: value} for name in RATES for value in (TINY, 0.5, 1e300)),
+    *({name: value} for name in SIZES for value in (0.0, TINY, 1e300)),
+    {"noise_pole": 0.0},
+    {"noise_pole": math.nextafter(1.0, 0.0)},
+    *({"estimator": rule} for rule in ("tustin", "tustin-held", "zoh")),
+]
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"latency_ticks": -1}, f"latency_ticks = -1: must be 0 to {MAX_LATENCY_TICKS}"),
+    ({"latency_ticks": MAX_LATENCY_TICKS + 1}, f"must be 0 to {MAX_LATENCY_TICKS}"),
+    *(({name: value}, f"{name} = {value:g}: must be above 0")
+      for name in POSITIVE for value in (0.0, -TINY, -math.inf, math.nan)),
+    *(({name: value}, f"{name} = {value:g}: must be finite and above 0")
+      for name in RATES for value in (0.0, -TINY, math.inf, math.nan)),
+    *(({name: value}, f"{name} = {value:g}: must be finite and 0 or above")
+      for name in SIZES for value in (-TINY, math.inf, math.nan)),
+    *(({"noise_pole": value}, "must be 0 or above, below 1") for value in (-TINY, 1.0, math.nan)),
+    ({"estimator": "euler"}, "estimator = 'euler': must be one of tustin, tustin-held, zoh"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("change", ACCEPTED, ids=str)
+def test_the_last_value_that_means_something_is_accepted(change: dict[str, Any]) -> None:
+    target = Target(1e-3, **change)
+    assert {name: getattr(target, name) for name in change} == change
+
+
+@pytest.mark.parametrize(("change", "reason"), REFUSED, ids=str)
+def test_the_first_that_does_not_is_refused(change: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        Target(1e-3, **change)
+    assert reason in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_by_default_it_is_the_thesis_s() -> None:
+    """No latency, no limits, no grid: d̂ is compensated as it is, always."""
+    target = Target(1e-3)
+    assert (target.latency_ticks, target.estimator) == (0, "tustin")
+    for name in POSITIVE:
+        assert getattr(target, name) == math.inf
+    for name in ("lsb_1", "lsb_2", "safe_stop_s"):
+        assert getattr(target, name) == 0.0
+    assert target.on_confirmation is False
+    assert target.prewarp_rad_per_s is None
+    assert target.precision == "float64"
+    # What is decided meanwhile: by a perfect sensor on a car that is the model.
+    assert (target.noise_rms, target.noise_pole, target.resolution) == (0.0, 0.0, 0.0)
+    assert target.mismatch.cars == ()
+    assert (target.false_alarms_per_hour, target.suspicions_per_hour) == (1e-3, 3600.0)

@@ -15,6 +15,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
+from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState, Mode
 from tests.firmware.both_ways import lines_compiled_and_interpreted
 from tests.firmware.law.cases import other_cars
@@ -81,3 +82,10 @@ if __name__ == "__main__":
     for case in CASES:
         for record in records(*case):
             print(record.hex())
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_a_number_takes_the_precision_of_the_table(kind: type[np.floating]) -> None:
+    third = real(1.0 / 3.0, kind(7.0))
+    assert third == kind(1.0 / 3.0)
+    assert np.asarray(third * kind(1.0)).dtype == kind

@@ -90,6 +90,13 @@ def test_x_is_the_lost_w_what_is_earlier_the_difference_of_the_cars_and_one_whit
     assert not rows[:, parameters + 3 : MAX_STATES].any()
 
 
+def test_the_lost_w_and_what_is_earlier_are_kept_for_the_tick_after() -> None:
+    table = tables_of(1)[0]
+    state = controller.init(table)[0]
+    predict(table, state, 1.0, 0.5, 0.3, 0.2)
+    assert state.mismatch.x[:2].tolist() == [0.3, 0.2]
+
+
 def fading_largest(values: NDArray[Any]) -> NDArray[Any]:
     """max over j <= k of values[j] exp(-2 (k - j) T/1 s)."""
     k = np.arange(len(values))

@@ -17,6 +17,9 @@ from firmware_model.discretisation.coprime import sampled_factors, sampled_over
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
+from firmware_model.law.filters.biquad import advance, at_rest
+from firmware_model.law.filters.estimator import model_output
+from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
 from tests.firmware.discretisation.test_coprime import (
     PENDULUM,
@@ -94,3 +97,25 @@ def test_they_go_on_where_measurements_are_missing(model: Plant) -> None:
             )
         )
         np.testing.assert_allclose(STEP * x, expected, atol=1e-8 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("reference", [1.0, math.nan])
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_an_unstable_plant_is_expected_where_what_is_not_lost_takes_it(
+    share: float, reference: float
+) -> None:
+    """M y = N1 u1 + N2 u2 - s w, at which d̂ is the known loss."""
+    table = build(design(PENDULUM, SPECIFICATION), Target(TICK_S, 0, "zoh"))
+    state = controller.init(table)[0]
+    state.command_1, state.command_2 = 5.0, 300.0
+    state.fault_state = FaultState.CONFIRMED if share else FaultState.CLEAR
+    state.loss_model.share = share
+    before = at_rest()
+    for _ in range(3):
+        model_1, model_2 = model_output(table.estimator, state.estimator, 0.0, 0.0)
+        before.accumulators[:] = state.estimator.measurement.accumulators
+        controller.step(table, state, reference, math.nan)
+        shown = advance(table.estimator.measurement, before, state.estimator.measured)
+        # all of channel 1 has been lost from the start, so w is N1 u1
+        assert shown == pytest.approx(model_1 + model_2 - share * model_1, rel=1e-9)
+    assert model_1 != 0.0

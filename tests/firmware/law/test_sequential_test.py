@@ -24,6 +24,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.law import controller
 from firmware_model.law.fault_decision.likelihood_ratio import (
+    is_stale,
     lost_share,
     start_candidate,
 )
@@ -233,3 +234,26 @@ def test_evidence_that_overflowed_begins_again() -> None:
     state.sequential_test.evidence = math.nan
     controller.step(tables[0], state, 1.0, 0.0)
     assert state.sequential_test.evidence == 0.0
+
+
+@pytest.mark.every_case
+@pytest.mark.parametrize(
+    ("age", "half_age", "information", "half_information", "stale"),
+    [
+        (3.0, 0.0, 10.0, 10.0, False),  # too young to ask
+        (9.0, 5.0, 10.0, 10.0, False),
+        (4.0, 1.0, 10.9, 10.0, True),
+        (10.0, 5.0, 11.0, 10.0, False),
+        (10.0, 5.0, 1023.9, 1000.0, True),  # enough to decide, at any amount of information
+        (10.0, 5.0, 1024.0, 1000.0, False),
+    ],
+)
+def test_a_candidate_twice_as_old_that_has_learnt_little_is_stale(
+    age: float, half_age: float, information: float, half_information: float, stale: bool
+) -> None:
+    numbers = {"freshness": 0.1, "needed": 24.0}
+    table = changed(build(DESIGN, Target(TICK_S, 1, "zoh")), sequential_test=numbers)[0]
+    test = controller.init(table)[0].sequential_test
+    test.age, test.half_age = age, half_age
+    test.information, test.half_information = information, half_information
+    assert is_stale(table.sequential_test, test) == stale

@@ -11,11 +11,16 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from scipy.linalg import toeplitz
 
+from can_rig.assessment.limitations import ControlAuthority, control_authority, unavoidable
 from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability, refuse_unstable, stable_tuning
 from can_rig.errors import ScenarioError
+from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.scenario import shipped
+from can_rig.scenario.build import continuous_plant, network_of
+from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
 from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
 from firmware_model.analysis.sampled_plant import sample
@@ -25,6 +30,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
+from firmware_model.law.structs import FloatArray
 from tests.firmware.law.cases import changed
 from tests.helpers import asked, rig
 
@@ -280,3 +286,190 @@ def test_a_run_of_the_rigs_own_firmware_grows_at_the_predicted_rate() -> None:
         sizes.append(float(np.abs(x).max()))
     observed = (max(sizes[850:]) / max(sizes[450:500])) ** (1.0 / 400)
     assert observed == pytest.approx(radius, rel=1e-3)
+
+
+def test_a_loop_that_is_stable_with_nothing_to_spare_is_not_called_stable() -> None:
+    """Of 1.5 ms ticks and two of latency, τ = 7 ms leaves 0.4 % of the distance to -1."""
+    thin = ["tick_s=0.0015", "latency_ticks=2", "design.tau_s=0.007", "design.tau_q_s=0.0015"]
+    done = asked(
+        "check", "thesis-step", *(word for key in thin for word in ("--set", key)), "--json"
+    )
+    assert done.returncode == 1
+    values = json.loads(done.stdout)
+    assert max(values[end]["peak_sensitivity"] for end in ("healthy", "faulted")) > 100.0
+    assert max(values[end]["spectral_radius"] for end in ("healthy", "faulted")) < 1.0
+    assert not values["stable"]
+    (found,) = values["thin_margins"]
+    assert "must be at most 5 (budget.peak_sensitivity)" in found
+
+
+def test_how_thin_a_margin_may_be_is_a_key() -> None:
+    own = ("budget.peak_sensitivity=2", "budget.spare_ticks=6")
+    result = check_stability(load("ideal", own))
+    assert result.thin_margins == [
+        f"{name}: the spare ticks of delay are {spare} and must be at least 6 (budget.spare_ticks)"
+        for name, spare in (("healthy", 5), ("torque dead", 4))
+    ]
+    assert result.verdict == "thin margin: " + "; ".join(result.thin_margins)
+    assert not result.stable
+    assert check_stability(load("ideal", ["budget.spare_ticks=4"])).stable
+
+
+def of(*settings: str, name: str = "default") -> ControlAuthority:
+    scenario = load(name, settings)
+    found = control_authority(scenario, network_of(scenario))
+    assert found is not None
+    return found
+
+
+def test_needs_what_the_settled_run_holds() -> None:
+    """Trap 7: 2989 N per m/s² of the physics car, 3455 N of the published one."""
+    assert of().needed_n == pytest.approx(2989.0, abs=1.0)
+    assert of("plant.variant=published").needed_n == pytest.approx(3455.0, abs=1.0)
+    assert of("reference.amplitude_mps2=-0.5").needed_n == pytest.approx(1494.6, abs=0.5)
+
+
+def settled_dstar(force_difference_n: float, *settings: str) -> float:
+    """D* of the nonlinear car after 30 s of X_diff alone, no torque on the column."""
+    car, dstar = NonlinearCar(load("nonlinear-car", settings).plant), 0.0
+    for _ in range(3000):
+        dstar = car.advance(0.01, 0.0, force_difference_n)
+    return dstar
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.9])
+def test_tires_end_where_the_nonlinear_car_slides(friction: float) -> None:
+    """Below the limit X_diff holds what it should; a tenth above, the rear axle is gone."""
+    setting = f"plant.friction={friction}"
+    carried = of(setting, "limits.force_difference_n=20000").carries_mps2
+    at = of(setting, f"reference.amplitude_mps2={0.9 * carried}")
+    assert at.enough
+    assert settled_dstar(at.needed_n, setting) == pytest.approx(0.9 * carried, rel=0.1)
+    beyond = of(setting, f"reference.amplitude_mps2={1.1 * carried}")
+    assert not beyond.enough
+    sliding = settled_dstar(beyond.needed_n, setting)
+    assert abs(sliding - 1.1 * carried) > 0.3 * carried
+
+
+def test_the_smaller_of_limit_and_tires_counts() -> None:
+    tight, wide = of("limits.force_difference_n=1000"), of("limits.force_difference_n=20000")
+    assert tight.available_n == tight.limit_n == 1000.0
+    assert not tight.enough
+    assert tight.carries_mps2 == pytest.approx(1000.0 / 2989.0, rel=1e-3)
+    assert wide.available_n == wide.tires_n < 4849.0  # μ m g l_f/(l_f + l_r), less what Y_r takes
+    assert "NOT ENOUGH" in str(tight)
+    assert "enough: " in str(wide)
+
+
+def test_it_is_the_largest_of_the_reference_that_counts() -> None:
+    assert of(name="lane-change").reference_mps2 == pytest.approx(1.0, rel=1e-4)
+    assert of(name="lane-change").enough
+
+
+def test_chapter_2_has_no_tires() -> None:
+    scenario = load("chapter-2")
+    assert control_authority(scenario, network_of(scenario)) is None
+
+
+STEADY_NM = 42.5  # for 1 m/s², docs/design.md
+
+
+def acceleration_per_nm(scenario: Scenario) -> float:
+    """D̈* that a torque of 1 N m causes at once, m/s⁴: C A B of a channel of relative degree 2."""
+    plant = continuous_plant(scenario.plant)
+    assert float(np.abs(plant.c @ plant.b[:, 0]).max()) == pytest.approx(0.0, abs=1e-12)
+    return (plant.c @ plant.a @ plant.b[:, 0]).item()
+
+
+@pytest.mark.parametrize("latency", [0, 1, 3])
+@pytest.mark.parametrize("left", [0.0, 0.5])
+def test_without_noise_it_is_what_the_loss_does_until_the_next_command_acts(
+    latency: int, left: float
+) -> None:
+    """One tick to show and ``latency`` more to act: a constant acceleration from rest."""
+    scenario = load("ideal", [f"latency_ticks={latency}", f"fault.left={left}"])
+    found = unavoidable(scenario, np.full(50, STEADY_NM))
+    assert found is not None
+    assert found.detection_ticks == 1
+    acts_s = (latency + 1) * 1e-3
+    expected = 0.5 * acceleration_per_nm(scenario) * (1.0 - left) * STEADY_NM * acts_s**2
+    assert found.deviation_mps2 == pytest.approx(expected, rel=0.05)
+
+
+def responses(scenario: Scenario, command: float, ticks: int) -> FloatArray:
+    """Step response of G1 times ``command``, by its residues: no state and no sampling."""
+    plant = continuous_plant(scenario.plant)
+    poles, vectors = np.linalg.eig(plant.a)
+    weights = (plant.c @ vectors).ravel() * np.linalg.solve(vectors, plant.b[:, 0])
+    times = scenario.tick_s * np.arange(1, ticks + 1)
+    return np.real(np.expm1(np.outer(times, poles)) @ (weights / poles)) * command
+
+
+@pytest.mark.parametrize("noise", [0.001, 0.005, 0.05])
+def test_with_noise_the_loss_shows_when_its_evidence_is_that_of_the_allowed_alarms(
+    noise: float,
+) -> None:
+    scenario = load("ideal", [f"plant.sensor.noise_mps2={noise}", "latency_ticks=2"])
+    found = unavoidable(scenario, np.full(1000, STEADY_NM))
+    assert found is not None
+    deviation = responses(scenario, STEADY_NM, 1000)
+    evidence = np.cumsum(deviation**2) / (2.0 * noise**2)
+    allowed = math.log(3600.0 / (1e-3 * scenario.budget.false_alarms_per_hour))
+    ticks = int(np.argmax(evidence > allowed)) + 1
+    assert found.detection_ticks == ticks > 5
+    assert found.deviation_mps2 == pytest.approx(abs(deviation[ticks + 1]), rel=1e-9)
+
+
+def test_more_noise_fewer_alarms_and_a_smaller_loss_take_longer() -> None:
+    def ticks(*settings: str) -> int:
+        scenario = load("ideal", ["plant.sensor.noise_mps2=0.005", *settings])
+        found = unavoidable(scenario, np.full(2000, STEADY_NM))
+        assert found is not None
+        return found.detection_ticks
+
+    usual = ticks()
+    assert ticks("plant.sensor.noise_mps2=0.02") > usual
+    assert ticks("budget.false_alarms_per_hour=1e-9") > usual
+    assert ticks("fault.left=0.5") > usual
+    assert ticks("plant.sensor.resolution_mps2=0.05") > usual
+
+
+def test_coloured_noise_is_weighed_by_its_covariance() -> None:
+    """δᵀ R⁻¹ δ / 2 with all of R, from long before the loss; no whitening filter."""
+    noise, corner_hz, before = 0.005, 200.0, 100
+    scenario = load(
+        "ideal", [f"plant.sensor.noise_mps2={noise}", f"model.sensor.corner_hz={corner_hz}"]
+    )
+    found = unavoidable(scenario, np.full(1000, STEADY_NM))
+    white = unavoidable(
+        load("ideal", [f"plant.sensor.noise_mps2={noise}"]), np.full(1000, STEADY_NM)
+    )
+    assert found is not None
+    assert white is not None
+    colour = math.exp(-2.0 * math.pi * corner_hz * 1e-3)
+    allowed = math.log(3600.0 / (1e-3 * scenario.budget.false_alarms_per_hour))
+    evidence = 0.0
+    ticks = 0
+    while evidence <= allowed:
+        ticks += 1
+        signal = np.concatenate([np.zeros(before), responses(scenario, STEADY_NM, ticks)])
+        covariance = noise**2 * toeplitz(colour ** np.arange(len(signal)))
+        evidence = 0.5 * float(signal @ np.linalg.solve(covariance, signal))
+    assert found.detection_ticks == ticks > white.detection_ticks
+
+
+def test_a_dead_time_of_the_actuator_delays_the_loss_as_well() -> None:
+    immediate, late = (
+        unavoidable(
+            load("ideal", [f"plant.torque_actuator.dead_time_s={dead_time_s}"]),
+            np.full(50, STEADY_NM),
+        )
+        for dead_time_s in (0.0, 0.003)
+    )
+    assert immediate == late
+
+
+def test_a_loss_that_does_nothing_never_shows() -> None:
+    noisy = load("ideal", ["plant.sensor.noise_mps2=0.005"])
+    assert unavoidable(noisy, np.zeros(1000)) is None
+    assert unavoidable(noisy, np.full(3, STEADY_NM)) is None  # too short to decide

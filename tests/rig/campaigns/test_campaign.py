@@ -28,7 +28,7 @@ from can_rig.campaigns.execution import CampaignFolder, execute, open_folder
 from can_rig.campaigns.plan import plan
 from can_rig.campaigns.rows import METRICS, TRUTHS, Task, run_rows
 from can_rig.campaigns.settings import campaign_of
-from can_rig.campaigns.workers import serially, versions
+from can_rig.campaigns.workers import DEATHS, deaths_after, serially, versions
 from can_rig.errors import RigError, RunFolderError, ScenarioError, WorkersLostError
 from can_rig.results.metrics import Metrics, metrics_of
 from can_rig.scenario.settings import Scenario
@@ -219,7 +219,7 @@ def test_a_cluster_that_all_workers_have_left_is_one_line(
         found = compute([Task(0, 1), Task(1, 2), Task(2, 3)])
         assert next(found)[0] == Task(0, 1)
         local.scale(0)
-        with pytest.raises(RigError, match=r"all workers have gone, .* 0\.5 s; .* --resume"):
+        with pytest.raises(RigError, match=r"all workers have gone, .* 0\.5 s$"):
             while True:
                 next(found)
 
@@ -250,6 +250,20 @@ def test_a_scheduler_that_is_killed_ends_it_in_a_line_and_here_it_goes_on(
     monkeypatch.undo()
     assert asked(*words, "--resume", "--workers", 1).returncode in {0, 1}
     assert (tmp_path / "out" / "runs.parquet").read_bytes() == done.table.read_bytes()
+
+
+def test_workers_lost_before_the_first_run_leave_nothing_to_resume(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def losing(*_: Any) -> bool:
+        return bool(deaths_after(DEATHS - 1, Task(0, 1)))
+
+    monkeypatch.setattr("can_rig.cli.campaign.execute", losing)
+    ended = asked("campaign", written(tmp_path), "--out", tmp_path / "out", "--workers", 1)
+    assert ended.returncode == 3
+    assert "the worker died" in ended.stderr
+    assert "--resume" not in ended.stderr
+    assert not (tmp_path / "out").exists()
 
 
 def test_other_versions_are_refused_in_a_line() -> None:

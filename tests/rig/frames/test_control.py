@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from can_rig.frames import operator_frames
 from can_rig.plant.faults.injection import injected
-from can_rig.scenario.fault_settings import NUMBER, OF_FURTHER_SENSORS, FaultKind
+from can_rig.scenario.fault_settings import NUMBER, FaultKind
 from tests.helpers import DBC
 
 DATABASE = cantools.database.load_file(DBC / "control.dbc", strict=True)
@@ -63,22 +63,37 @@ def test_what_is_taken_is_said_in_the_same_signals():
 
 
 def test_every_kind_of_the_dbc_can_be_injected():
-    others = {"none", "controller-restarted", *OF_FURTHER_SENSORS}
+    others = {"none", "controller-restarted"}
     assert {*others, *operator_frames.kinds()} == set(get_args(FaultKind))
     for kind in operator_frames.kinds():
-        place = "sensor" if kind.startswith("sensor-") else "torque"
-        fault = injected(operator_frames.Command("INJECT", kind, place, 0.5), 3, 1_000_000)
-        key = NUMBER.get(kind, "")
+        place = "torque-echo" if kind.startswith("sensor-") else "torque"
+        value = 3.0 if kind == "sensor-swapped" else 0.5
+        fault = injected(operator_frames.Command("INJECT", kind, place, value), 3, 1_000_000)
+        key = "offset" if kind == "sensor-biased" else NUMBER.get(kind, "")
         assert fault is not None or key == "late_ticks"
         if fault is not None:
             assert (fault.kind, fault.at_s, getattr(fault, key, 0.5)) == (kind, 0.003, 0.5)
-    assert (
-        injected(operator_frames.Command("INJECT", "actuator-dead", "sensor"), 3, 1_000_000) is None
-    )
-    assert (
-        injected(operator_frames.Command("INJECT", "actuator-drift", "torque"), 3, 1_000_000)
-        is None
-    )
+    for kind, place, value in (
+        ("actuator-dead", "sensor", None),
+        ("actuator-drift", "torque", None),
+        ("actuator-dead", "yaw-rate", None),
+        ("sensor-invalid", "sensor", None),
+        ("sensor-lying", "yaw-rate", None),
+        ("sensor-swapped", "yaw-rate", None),
+        ("sensor-swapped", "yaw-rate", 3.0),  # with itself
+        ("sensor-swapped", "yaw-rate", 0.0),  # with an actuator
+    ):
+        command = operator_frames.Command("INJECT", kind, place, value)
+        assert injected(command, 3, 1_000_000) is None
+
+
+@pytest.mark.parametrize("place", [operator_frames.ALL, *operator_frames.places()])
+def test_one_place_is_cleared_or_all_of_them(place):
+    message = operator_frames.command_message(operator_frames.Command("CLEAR", place=place), 9)
+    said = DATABASE.decode_message("RIG_CONTROL", bytes(message.data))
+    action = "CLEAR_ALL" if place == operator_frames.ALL else "CLEAR"
+    assert str(said["Action"]) == action
+    assert operator_frames.read_command(message, 9) == operator_frames.Command("CLEAR", place=place)
 
 
 def test_a_state_is_what_the_dbc_says():

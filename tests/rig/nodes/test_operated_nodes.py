@@ -16,6 +16,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.controllers.our_law import PYTHON
+from can_rig.errors import RigError
 from can_rig.frames import operator_frames
 from can_rig.frames.operator_frames import Command
 from can_rig.logs.reading import read_log
@@ -24,6 +25,7 @@ from can_rig.nodes.interaction import Interaction
 from can_rig.nodes.operating import done, operate, touches
 from can_rig.nodes.runner import run_controller, run_in_process, run_plant
 from can_rig.scenario.build import network_of
+from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
 from tests.vcan import PATIENT, TIMEOUT_S
 
@@ -35,6 +37,26 @@ TOLD = (
     Command("INJECT", "frames-corrupted", "sensor"),
     Command("STEP", value=80.0),
     Command("CLEAR", place="force-difference"),
+    Command("PACE", value=0.0),
+)
+
+
+YAW, ACCELERATION, ECHO = "yaw-rate", "lateral-acceleration", "torque-echo"
+TO_SENSORS = (
+    Command("PAUSE"),
+    Command("INJECT", "sensor-scaled", ACCELERATION, 1.5),
+    Command("INJECT", "sensor-biased", YAW, 0.05, 0.1),
+    Command("INJECT", "frames-missing", YAW, None, 0.2),
+    Command("STEP", value=50.0),
+    Command("INJECT", "sensor-lying", ECHO),
+    Command("INJECT", "sensor-tick-stuck", ACCELERATION),
+    Command("INJECT", "sensor-late", YAW, 12.0),
+    Command("STEP", value=80.0),
+    Command("CLEAR", place=ACCELERATION),
+    Command("INJECT", "sensor-invalid", ECHO),
+    Command("STEP", value=60.0),
+    Command("CLEAR"),
+    Command("INJECT", "sensor-swapped", YAW, float(operator_frames.places().index(ACCELERATION))),
     Command("PACE", value=0.0),
 )
 
@@ -87,23 +109,41 @@ def test_frames_fail_at_both_nodes_from_the_same_tick_on(tmp_path: Path) -> None
     frames_fail_as_in_a_scenario(f"local:{os.getpid()}-operated", tmp_path)
 
 
+def test_further_sensors_fail_at_both_nodes_too(tmp_path: Path) -> None:
+    bus = f"local:{os.getpid()}-sensors"
+    faults = frames_fail_as_in_a_scenario(bus, tmp_path, "cluster", TO_SENSORS)
+    assert faults[-1].other == ACCELERATION
+    assert faults[1].offset == 0.05
+
+
+def test_a_sensor_that_the_scenario_lacks_does_not_fail(tmp_path: Path) -> None:
+    scenario, bus = load("ideal", ["duration_s=0.1", "fault.kind=none"]), f"local:{os.getpid()}-no"
+    with two_nodes(scenario, bus, tmp_path / "bus.log"), open_bus(bus) as operator:
+        wait_for(operator, operator_frames.identifiers().state)
+        with pytest.raises(RigError, match="refused"):
+            operate(operator, bus, Command("INJECT", "sensor-invalid", YAW))
+        operate(operator, bus, Command("PACE", value=0.0))
+
+
 @pytest.mark.vcan
 def test_on_socketcan_too(tmp_path: Path) -> None:
     frames_fail_as_in_a_scenario("socketcan:vcan0", tmp_path)
 
 
-def frames_fail_as_in_a_scenario(bus: str, tmp_path: Path) -> None:
+def frames_fail_as_in_a_scenario(
+    bus: str, tmp_path: Path, name: str = "ideal", commands: tuple[Command, ...] = TOLD
+) -> tuple[FaultSettings, ...]:
     """A run that is touched, against one with the faults of its log, and one of its log."""
-    scenario = load("ideal", ["duration_s=0.4", "fault.kind=none"])
+    scenario = load(name, ["duration_s=0.4", "fault.kind=none"])
     log, other = tmp_path / "bus.log", tmp_path / "scheduled.log"
     with two_nodes(scenario, bus, log), open_bus(bus) as operator:
         wait_for(operator, operator_frames.identifiers().state)
-        for command in TOLD:
+        for command in commands:
             operate(operator, bus, command)
     told = tuple(touches(read_log(log), network_of(scenario)))
     what = done(scenario, told).scenario
     assert [(each.kind, each.place) for each in what.faults] == [
-        (command.kind, command.place) for command in TOLD if command.action == "INJECT"
+        (command.kind, command.place) for command in commands if command.action == "INJECT"
     ]
     run_in_process(what, "virtual:scheduled", other, StopRequest(), lambda _: None, PYTHON)
     assert sent(log) == sent(other)
@@ -115,3 +155,4 @@ def frames_fail_as_in_a_scenario(bus: str, tmp_path: Path) -> None:
     assert again.read_bytes() == log.read_bytes()
     _, *ours = operator_frames.identifiers()
     assert not [each for each in ours if f" {each:03X}#" in log.read_text()]
+    return what.faults

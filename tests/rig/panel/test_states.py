@@ -218,6 +218,22 @@ def test_controls_have_the_names_and_units_of_the_plant(name):
     assert not re.search("motor|m/s²|steering", json.dumps(made, ensure_ascii=False))
 
 
+def test_the_further_sensors_of_a_scenario_can_fail_too_and_only_they():
+    made = setup(load("cluster"), network_of(load("cluster")), 20.0)
+    faults = {each["place"]: each["kinds"] for each in made["places"]}
+    assert set(faults) == set(operator_frames.places())
+    swaps = [each for each in faults["yaw-rate"] if each["kind"] == "sensor-swapped"]
+    assert {operator_frames.places()[each["number"]] for each in swaps} == {
+        "lateral-acceleration", "steering-angle", "torque-echo", "force-difference-echo"
+    }  # fmt: skip
+    biased = next(each for each in faults["yaw-rate"] if each["kind"] == "sensor-biased")
+    assert biased["value"] == "offset rad/s"
+    liars = {place for place, its in faults.items() if "sensor-lying" in str(its)}
+    assert liars == {"torque-echo", "force-difference-echo"}
+    without = setup(load("default"), network_of(load("default")), 20.0)
+    assert [each["place"] for each in without["places"]] == [*operator_frames.places()[:3]]
+
+
 def luminance(colour: str) -> float:
     """Relative luminance of an sRGB colour, after WCAG 2.2."""
     parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]

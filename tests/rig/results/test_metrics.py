@@ -9,8 +9,8 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
-from can_rig.results.counterfactual import fault_free
-from can_rig.results.metrics import Metrics, metrics, rows
+from can_rig.results.counterfactual import fault_free, output_of_car, signals_without_log
+from can_rig.results.metrics import Metrics, fault_metrics, fault_rows, metrics, rows, windows
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import solve
@@ -195,3 +195,126 @@ def test_every_key_says_its_unit() -> None:
         plain |= {"missed_detection", "false_alarms", "suspicions", "deviation_over_uncompensated"}
         plain |= {"place", "verdict", "right_place", "wrong_place"}
         assert key.endswith(("_mps2", "_mps", "_s", "_m", "_nm", "_n", "_per_hour")) or key in plain
+
+
+def spans(scenario: Scenario) -> dict[str, tuple[float, float] | None]:
+    """First and last time of every window, s."""
+    signals = quiet(scenario)
+    found = {}
+    for name, mask in vars(windows(scenario, signals)).items():
+        inside = signals.time_s[mask]
+        found[name] = (round(inside[0], 6), round(inside[-1], 6)) if len(inside) else None
+    return found
+
+
+def test_windows_of_a_lasting_fault() -> None:
+    assert spans(load("thesis-step", ["tick_s=0.01"])) == {
+        "before": (0.0, 9.99),
+        "after": (10.0, 19.99),
+        "active": (10.0, 19.99),
+        "lost": (10.0, 19.99),
+        "settled_before": (7.99, 9.99),
+        "settled_after": (17.99, 19.99),
+    }
+
+
+def test_windows_of_a_passing_fault_settle_after_it_has_passed() -> None:
+    found = spans(load("thesis-step", ["tick_s=0.01", "fault.for_s=9"]))
+    assert found["lost"] == (10.0, 18.99)
+    assert found["after"] == (10.0, 19.99)
+    # Half of the second that is left: its first half is the transient of the return.
+    assert found["settled_after"] == (19.5, 19.99)
+    # The tick of its end is the first without it: 10 ms, 5 ms, half of either, and zero.
+    settings = ["tick_s=0.005", "duration_s=20", "fault.for_s=9.985"]
+    assert spans(load("thesis-step", settings))["settled_after"] == (19.99, 19.995)
+
+
+def test_two_periods_of_a_slow_reference_count_as_settled() -> None:
+    settings = ["tick_s=0.01", "reference.frequency_rad_per_s=3.141592653589793"]
+    assert spans(load("thesis-sine", settings))["settled_after"] == (15.99, 19.99)
+
+
+@pytest.mark.parametrize("settings", [["fault.kind=none"], ["duration_s=2.0"]])
+def test_windows_without_a_fault(settings: list[str]) -> None:
+    found = spans(load("thesis-step", ["tick_s=0.01", *settings]))
+    assert found["after"] is found["lost"] is found["settled_after"] is None
+    assert found["before"] is not None
+
+
+def test_the_fault_is_lost_at_the_ticks_at_which_the_nodes_lose_it() -> None:
+    """Binary fractions of a second must not shift it by a tick."""
+    for at in range(1, 1500, 7):
+        scenario = load("thesis-step", ["duration_s=2.0", f"fault.at_s={at / 1000}"])
+        lost = windows(scenario, quiet(scenario)).lost
+        assert np.flatnonzero(lost).tolist() == list(range(at, scenario.ticks))
+
+
+BOTH = ["duration_s=6", "fault.at_s=2", "fault.for_s=1.5", "fault.1.kind=sensor-stuck"]
+BOTH += ["fault.1.at_s=4", "fault.1.for_s=0.5", "fault.1.value=0.3"]
+
+
+def test_of_one_fault_they_are_those_of_the_run() -> None:
+    scenario = load("noisy", ["duration_s=4", "fault.at_s=2"])
+    signals = signals_without_log(scenario)
+    of_run, (of_fault,) = metrics(scenario, signals), fault_metrics(scenario, signals)
+    pairs = {
+        "deviation_peak_mps2": "deviation_peak_after_fault_mps2",
+        "deviation_settled_mps2": "deviation_settled_after_fault_mps2",
+        "error_peak_mps2": "error_peak_while_lost_mps2",
+        "fault_estimate_peak_mps2": "fault_estimate_peak_while_lost_mps2",
+        "unavoidable_deviation_mps2": "unavoidable_deviation_mps2",
+        "suspected_after_s": "suspected_after_s",
+        "detection_delay_s": "detection_delay_s",
+        "missed_detection": "missed_detection",
+    }
+    assert {key: of_fault[key] for key in pairs} == {k: of_run[v] for k, v in pairs.items()}
+    assert of_fault["kind"] == "actuator-dead"
+    assert of_fault["deviation_peak_mps2"] > 0.01
+
+
+def test_what_one_fault_does_is_told_from_what_the_other_does() -> None:
+    """The other one is over before, or has not begun: each has what it does alone."""
+    scenario = load("ideal", BOTH)
+    dead, stuck = fault_metrics(scenario, signals_without_log(scenario))
+    alone = load("ideal", [*BOTH[:3], "duration_s=3.9"])
+    (dead_alone,) = fault_metrics(alone, signals_without_log(alone))
+    assert dead["detection_delay_s"] == dead_alone["detection_delay_s"]
+    assert dead["deviation_peak_mps2"] != dead_alone["deviation_peak_mps2"]  # it goes on to 6 s
+    assert dead["error_peak_mps2"] == dead_alone["error_peak_mps2"]
+    assert stuck["detection_delay_s"] is stuck["missed_detection"] is None  # no channel is lost
+    car = signals_without_log(scenario).plant["true_dstar_mps2"]
+    others = load("ideal", ["duration_s=6", *BOTH[1:3]])
+    without = signals_without_log(others).plant["true_dstar_mps2"]
+    assert stuck["deviation_peak_mps2"] == pytest.approx(np.abs(car - without)[4000:].max(), 1e-6)
+
+
+@pytest.mark.parametrize("kind", ["sensor-stuck", "frames-missing"])
+def test_d_of_the_car_is_its_own_where_the_sensor_hides_it(kind: str) -> None:
+    settings = [f"fault.kind={kind}", "fault.channel=sensor", "fault.value=0.5", "fault.at_s=0.1"]
+    scenario = load("ideal", [*settings, "duration_s=0.3", "fault.for_s=0.1"])
+    signals = signals_without_log(scenario)
+    output = output_of_car(scenario, signals)
+    np.testing.assert_array_equal(output[100:200], signals.plant["true_dstar_mps2"][100:200])
+    np.testing.assert_array_equal(output[:100], signals.dstar_mps2[:100])
+    unknown = quiet(scenario)
+    assert np.flatnonzero(np.isnan(output_of_car(scenario, unknown))).tolist() == [*range(100, 200)]
+
+
+def test_a_fault_after_the_end_has_no_figures() -> None:
+    scenario = load("ideal", ["duration_s=0.2"])
+    (none,) = fault_metrics(scenario, quiet(scenario))
+    what = {"kind": "actuator-dead", "place": "torque", "at_s": 10.0, "for_s": None}
+    assert {key: value for key, value in none.items() if value is not None} == {
+        key: value for key, value in what.items() if value is not None
+    }
+
+
+def test_the_closing_table_has_a_line_for_each_of_several_faults() -> None:
+    scenario = load("ideal", BOTH)
+    faults = fault_metrics(scenario, signals_without_log(scenario))
+    dead, stuck = fault_rows(scenario, faults)
+    assert dead[0] == "steering torque lost from 2 s to 3.5 s (actuator dead)"
+    assert dead[1].endswith(f"m/s², confirmed after {faults[0]['detection_delay_s']:g} s")
+    assert stuck[0] == "D* stuck at 0.3 m/s² from 4 s to 4.5 s (sensor stuck)"
+    assert stuck[1] == f"deviation up to {faults[1]['deviation_peak_mps2']:.4g} m/s²"
+    assert fault_rows(load("ideal"), faults[:1]) == []

@@ -1,5 +1,7 @@
 """The path of a car, against circles and the deviation of a lost motor."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,20 @@ def test_a_reported_speed_replaces_the_speed_of_the_scenario():
     still = {name: np.zeros(1001) for name in ("yaw_rate_rad_per_s", "side_slip_rad")}
     moving = signals_with(**still, speed_mps=np.linspace(0.0, 20.0, 1001))
     assert track_of(load("ideal"), moving).x_m[-1] == pytest.approx(10.0)
+
+
+def test_a_thinned_track_is_the_whole_track_thinned_and_needs_no_copy_of_the_run():
+    rng = np.random.default_rng(5)
+    names = "yaw_rate_rad_per_s", "side_slip_rad", "speed_mps"
+    moving = signals_with(**{name: rng.normal(size=100_001) for name in names})
+    whole = track_of(load("ideal"), moving)
+    tracemalloc.start()
+    thinned = track_of(load("ideal"), moving, step=20)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    for values, some in zip(whole, thinned, strict=True):
+        np.testing.assert_array_equal(some, values[::20])
+    assert peak < 3 * moving.time_s.nbytes  # BLOCK_ROWS of some columns at once
 
 
 def test_the_car_stays_in_its_lane_and_leaves_the_lane_without_compensation(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import re
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from playwright.sync_api import expect
 
+from can_rig import paged
 from can_rig.drawing.bench import on_one_axis
 from tests.browser import barriers
 from tests.helpers import asked
@@ -22,6 +24,7 @@ def test_a_common_axis_keeps_the_extremes_of_each_part_and_invents_nothing(curve
     made = [np.array(sorted(curve)).T for curve in curves]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("can_rig.drawing.bench.MOST_POINTS", points)
+        patch.setattr(paged, "BLOCK_ROWS", 7)  # a part may end in the next block
         time_s, columns = on_one_axis([(t, v) for t, v in made])
     assert len(time_s) <= points
     assert (np.diff(time_s) > 0.0).all()
@@ -32,6 +35,16 @@ def test_a_common_axis_keeps_the_extremes_of_each_part_and_invents_nothing(curve
         assert {values.min(), values.max()} <= set(column[known])
         for at, value in zip(time_s[known], column[known], strict=True):
             assert value in values[np.abs(times - at) <= 1.001 * width / parts + 1e-9]
+
+
+def test_no_copy_of_a_long_curve_is_in_memory(monkeypatch):
+    monkeypatch.setattr("can_rig.drawing.bench.MOST_POINTS", 100)
+    long = np.arange(300_000.0)
+    tracemalloc.start()
+    on_one_axis([(long, long)])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < long.nbytes
 
 
 @pytest.fixture(scope="module")
