@@ -332,7 +332,7 @@ class Echoes:
     def __init__(self) -> None:
         self.tick, self.restarts = 0, 0
 
-    def echoes(self) -> list[tuple[int, float, float]]:
+    def samples(self) -> list[tuple[int, float, float]]:
         self.tick += 1
         return echoes_at(self.tick - 1)
 

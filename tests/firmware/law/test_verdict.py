@@ -162,16 +162,17 @@ def test_the_opposite_at_the_same_place_is_the_end_of_a_fault(
     first: tuple[str, float], then: tuple[str, float], gone: bool
 ) -> None:
     short = {"sensor_biased": "biased", "sensor_drifting": "drifting", "torque_offset": "offset"}
+    named = Verdict[then[0].replace("biased", "wrong").upper()]
     state = state_of()
     for name, size in (first, then):
         candidate = state.hypotheses.signatures[name].candidate
         candidate["size_now"], state.hypotheses.signatures.ramp = size, -1.0
         verdict = judged(state, **{short[name]: 30.0})
         assert not candidate["size_now"]  # its onset is yet to come
-    assert verdict == (Verdict.NOTHING if gone else Verdict[then[0].upper()])
+    assert verdict == (Verdict.NOTHING if gone else named)
     if gone:  # and the next one is another
         state.hypotheses.signatures[then[0]].candidate["size_now"] = then[1]
-        assert judged(state, **{short[then[0]]: 30.0}) == Verdict[then[0].upper()]
+        assert judged(state, **{short[then[0]]: 30.0}) == named
 
 
 def silent(state: Any, missing: float = 0.51) -> Any:

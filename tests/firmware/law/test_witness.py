@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,8 @@ from firmware_model.law.fault_decision.echoes import KEPT_TICKS
 from firmware_model.law.status import FaultState, Mode, Verdict
 from tests.firmware.law.cases import CAR, TICK_S
 from tests.firmware.law.test_echoes import LAGS, Car, dead, honest, lying, working
+from tests.firmware.scheduled import SPEEDS, Blended, scheduled
+from tests.firmware.scheduled import TARGET as SCHEDULED
 
 WEIGHT, SPEED_MPS, RMS, PERIOD = 0.3, 12.0, 0.005, 5
 WITNESS = Witness(WEIGHT, SPEED_MPS, noise_rms=RMS)
@@ -261,3 +263,28 @@ def test_a_tick_that_overflows_forgets_the_samples() -> None:
     assert firmware.step(1e308, -1e308).mode == Mode.BLIND
     answers = [each.step(0.0, 0.0).verdict for each in (firmware, fresh)]
     assert answers[0] == answers[1]
+
+
+def test_the_witness_knows_the_speed_of_a_car_that_says_it() -> None:
+    """V beyond the designs counts too, where no other constant follows any more."""
+    of = scheduled(target=replace(SCHEDULED, witness=WITNESS), cars=1)
+    at = Blended(of)
+    for speed_mps in (SPEEDS[0], 0.5 * (SPEEDS[0] + SPEEDS[-1]), 2.0 * SPEEDS[-1]):
+        at.to(speed_mps)
+        assert at.table.witness.speed == speed_mps
+
+
+def test_an_unknown_torque_is_no_fault_of_a_sensor_that_the_witness_confirms() -> None:
+    """D* alone takes the torque for a sensor's fault again and again."""
+    sensor = {Verdict.SENSOR_WRONG, Verdict.SENSOR_DRIFTING, Verdict.SENSOR_FROZEN}
+    heard = drive(table_of(), push=30.0)
+    alone = drive(table_of(None), hears=None, push=30.0)
+    assert not sensor & set(heard.verdicts[FAULT + 60 :])
+    assert sensor & set(alone.verdicts[FAULT + 60 :])
+
+
+def test_a_sample_older_than_the_memory_counts_for_nothing() -> None:
+    late = Witness(WEIGHT, SPEED_MPS, lag_s=5 * TICK_S, noise_rms=RMS)
+    oldest = KEPT_TICKS - 1
+    driven = drive(table_of(late, blind_s=0.1), missing, age=(oldest, oldest))
+    assert driven.answers[-1].mode == Mode.SAFE_STOP
