@@ -9,8 +9,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from firmware_model.law import controller, schedule
-from firmware_model.law.fault_decision import echoes
+from firmware_model.law import controller, further_sensors, schedule
 from firmware_model.law.fault_decision.hypotheses import verdict
 from firmware_model.law.fault_decision.lost_commands import act_first
 from firmware_model.law.filters import biquad
@@ -38,7 +37,7 @@ Memories = tuple[RecordArray, RecordArray, RecordArray, RecordArray]
 """Constants and state of ``schedule``, table and state of ``controller``, each in an array."""
 
 Hear = Callable[[float, float, float], None]
-"""Takes channel, echo and age in ticks; see ``echoes.hear``."""
+"""Takes channel, echo and age in ticks; see ``further_sensors.hear``."""
 
 ChangeSpeed = Callable[[float], None]
 
@@ -56,7 +55,7 @@ class Law(Protocol):
         """Run ``controller.step`` on the first table and the first state of the arrays."""
 
     def hear_of(self, tables: RecordArray, states: RecordArray) -> Hear:
-        """``echoes.hear`` for the first table and the first state of the arrays."""
+        """``further_sensors.hear`` for the first table and the first state of the arrays."""
 
     def reset(self, table: Table, state: State, reference: float) -> None:
         """See ``controller.reset``."""
@@ -78,7 +77,7 @@ class PythonLaw:
 
     def hear_of(self, tables: RecordArray, states: RecordArray) -> Hear:
         """See ``Law``."""
-        return partial(echoes.hear_first, tables, states)
+        return partial(further_sensors.hear_first, tables, states)
 
     def reset(self, table: Table, state: State, reference: float) -> None:
         """See ``Law``."""
@@ -144,7 +143,7 @@ class Firmware:
         )
 
     def hear(self, channel: int, echo: float, age_ticks: float = 0.0) -> None:
-        """Before the ``step`` of a tick: what an actuator reports; see ``echoes.hear``."""
+        """Before the ``step`` of a tick: what an actuator reports; see ``further_sensors.hear``."""
         self._hear(channel, echo, age_ticks)
 
     def begin(self, at_rest: bool = False) -> None:

@@ -49,7 +49,7 @@ class CompiledLaw:
             function(f"controller_{name}", 2, inputs)
             for name, inputs in zip(ENTRIES, (0, 2, 1), strict=True)
         )
-        self._hear = function(f"echoes_{HEAR}", 2, 3)
+        self._hear = function(f"further_sensors_{HEAR}", 2, 3)
         if changes_speed:
             self._change_speed = function(f"schedule_{CHANGE_SPEED}", 4, 1)
 
@@ -88,7 +88,7 @@ class CompiledLaw:
         return stepped
 
     def hear_of(self, tables: RecordArray, states: RecordArray) -> Hear:
-        """``echoes.hear``, bound to the table and the state."""
+        """``further_sensors.hear``, bound to the table and the state."""
         return partial(self._hear, _address(tables), _address(states))
 
     def reset(self, table: Table, state: State, reference: float) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from can_rig.controllers.protocol import Answer, InNode, Inputs, NodeController, echoes_in
+from can_rig.controllers.protocol import Answer, InNode, Inputs, NodeController, samples_in
 from can_rig.frames.network import Network
 from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
@@ -38,8 +38,8 @@ class OurLaw:
         reference, measurement, speed, heard = inputs
         if not math.isnan(speed):
             self.firmware.change_speed(speed)
-        for echo in echoes_in(heard):
-            self.firmware.hear(*echo)
+        for sample in samples_in(heard):
+            self.firmware.hear(*sample)
         return Answer(*self.firmware.step(reference, measurement))
 
     def act(self, command_1: float, command_2: float) -> None:

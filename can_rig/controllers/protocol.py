@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, Protocol
 
 from can_rig.frames.codec import AGE, NO_DECISION, NO_VERDICT, USABLE, CheckStatus
 from can_rig.frames.network import Network
-from can_rig.scenario.sensor_settings import ECHOES, USUAL
+from can_rig.scenario.sensor_settings import HEARD, USUAL
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState, Mode
 
@@ -23,7 +23,7 @@ LISTEN_S: Final = 0.05
 
 RUN, CANNOT_TELL = int(Mode.RUN), int(FaultState.CANNOT_TELL)
 
-ECHO_COLUMNS: Final = tuple(USUAL[echo].column for echo in ECHOES)
+HEARD_COLUMNS: Final = tuple(USUAL[measured].column for measured in HEARD)
 NO_WITNESSES: Final[Mapping[str, float]] = MappingProxyType({})
 
 
@@ -41,15 +41,18 @@ class Inputs(NamedTuple):
 
 
 def ages_of(columns: Sequence[str]) -> list[str]:
-    """The columns of the ages of the actuators' echoes among ``columns``."""
-    return [name + AGE for name in columns if name in ECHO_COLUMNS]
+    """The columns of the ages of what the rig's own law hears, among ``columns``."""
+    return [name + AGE for name in columns if name in HEARD_COLUMNS]
 
 
-def echoes_in(heard: Mapping[str, float]) -> list[tuple[int, float, float]]:
-    """Channel, value and age in ticks of each actuator's echo among the witnesses of a tick."""
+def samples_in(heard: Mapping[str, float]) -> list[tuple[int, float, float]]:
+    """Number, value and age in ticks of each sample among the witnesses of a tick.
+
+    The arguments of ``further_sensors.hear``.
+    """
     return [
-        (channel, value, age if (age := heard[name + AGE]) == age else 0.0)
-        for channel, name in enumerate(ECHO_COLUMNS, 1)
+        (number, value, age if (age := heard[name + AGE]) == age else 0.0)
+        for number, name in enumerate(HEARD_COLUMNS, 1)
         if not math.isnan(value := heard.get(name, math.nan))
     ]
 

@@ -13,7 +13,7 @@ from typing import Final
 from can_rig.drawing.names import Signal, names_of
 from can_rig.errors import ExportError
 from can_rig.export.c_files import comment, constants_files, plain
-from can_rig.export.law import ECHOES, HEARS, SINGLE, law_files, numbers_of, parts_of, support
+from can_rig.export.law import HEARS, SENSORS, SINGLE, law_files, numbers_of, parts_of, support
 from can_rig.export.prefix import with_prefix
 from can_rig.export.provenance import with_provenance
 from can_rig.export.self_test import DATA, self_test_data
@@ -22,7 +22,7 @@ from can_rig.frames.codec import MessageCodec, RigLayout
 from can_rig.frames.network import Network
 from can_rig.scenario.build import dbc_of, network_of, require_ours
 from can_rig.scenario.driving import controls
-from can_rig.scenario.sensor_settings import ECHOES as ACTUATORS
+from can_rig.scenario.sensor_settings import HEARD
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import Precision
 
@@ -58,8 +58,8 @@ def application(scenario: Scenario) -> dict[str, str]:
     title = f"The constants of the controller of scenario {scenario.name}."
     law = law_files(precision, of.schedule is not None)
     parts = {*parts_of(law), *((HEARS,) if network.speed else ())}
-    echoes = _echoes(scenario, network)
-    parts |= {ECHOES} if echoes else set()
+    sensors = _sensors(scenario, network)
+    parts |= {SENSORS} if sensors else set()
     parts |= {SINGLE} if precision == "float32" else set()
     header = support(
         HEADER,
@@ -74,7 +74,7 @@ def application(scenario: Scenario) -> dict[str, str]:
         reference=_signal(network.reference, names.output._replace(name="")),
         measurement=_signal(network.feedback, names.output),
     )
-    texts = {**numbers_of(precision), "echoes": str(len(echoes))}
+    texts = {**numbers_of(precision), "sensors": str(len(sensors))}
     return {
         **law,
         **constants_files(of.table, title, of.schedule),
@@ -161,9 +161,9 @@ def _network_source(network: Network, scenario: Scenario) -> str:
     for codec in network.by_role:
         lines += ["", *comment(f"{codec.name}: {_signal(codec)}")]
         lines += [f"const struct frame frame_{codec.role} = {{", *_numbers(codec), "};"]
-    if echoes := _echoes(scenario, network):
-        lines += ["", "const struct ecu_echo_frame ecu_echoes[ECU_ECHOES] = {"]
-        for channel, codec, (period, phase, _) in echoes:
+    if sensors := _sensors(scenario, network):
+        lines += ["", "const struct ecu_sensor_frame ecu_sensors[ECU_SENSORS] = {"]
+        for number, codec, (period, phase, _) in sensors:
             lines += [f"    {each}" for each in comment(f"{codec.name}: {_signal(codec)}")]
             lines += [
                 "    {",
@@ -171,20 +171,20 @@ def _network_source(network: Network, scenario: Scenario) -> str:
                 *(f"        {each}" for each in _numbers(codec)),
             ]
             lines.append("        },")
-            lines.append(f"        .channel = {channel}, .period = {period}u, .phase = {phase}u,")
+            lines.append(f"        .number = {number}, .period = {period}u, .phase = {phase}u,")
             lines.append("    },")
         lines.append("};")
     return "\n".join(lines) + "\n"
 
 
-def _echoes(
+def _sensors(
     scenario: Scenario, network: Network
 ) -> list[tuple[int, MessageCodec, tuple[int, int, int]]]:
-    """Channel, frame and timing of each actuator's echo."""
+    """Number, frame and timing of each sensor that the law hears."""
     return [
-        (ACTUATORS.index(sensor.measures) + 1, codec, sensor.timing(scenario.tick_s))
+        (HEARD.index(sensor.measures) + 1, codec, sensor.timing(scenario.tick_s))
         for sensor, codec in zip(scenario.sensors, network.witnesses, strict=True)
-        if sensor.measures in ACTUATORS
+        if sensor.measures in scenario.heard
     ]
 
 

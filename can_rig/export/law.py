@@ -12,15 +12,14 @@ from typing import Final
 from can_rig.export.c_files import c_files
 from can_rig.export.source import REAL, Record, Sources, Type
 from can_rig.export.subset import Program
-from firmware_model.law import controller, knowledge, layout, schedule
-from firmware_model.law.fault_decision import echoes
+from firmware_model.law import controller, further_sensors, knowledge, layout, schedule
 from firmware_model.law.structs import Precision
 
 ENTRIES: Final = ("start_up", "step", "reset")
 """Entry points called by a node: each function takes table and state, then real numbers."""
 
 HEAR: Final = "hear"
-"""Entry point called before a step if an actuator has reported its output; see ``echoes``."""
+"""Entry point called before a step for each sample of a further sensor; see ``further_sensors``."""
 
 SAVE: Final = "save"
 """Entry point called by a node that saves its state; see ``knowledge``."""
@@ -32,9 +31,9 @@ BLENDS: Final = "blends"
 HEARS: Final = "hears"
 NODE: Final = "node"
 SINGLE: Final = "single"
-ECHOES: Final = "echoes"
+SENSORS: Final = "sensors"
 """Parts of handwritten files: for designs blended by the speed, for a node that hears a speed, for
-a whole node, for single precision, for a node that hears what the actuators report."""
+a whole node, for single precision, for a node that hears further sensors."""
 
 
 def support(name: str, parts: Collection[str] = (), **values: str) -> str:
@@ -119,7 +118,7 @@ def law_program() -> Program:
     for name in ENTRIES:
         inputs = len(functions[name].parameters) - len(memory)
         program.add(functions[name], [*memory, *(REAL,) * inputs])
-    hear = program.sources.module(echoes.__name__).functions[HEAR]
+    hear = program.sources.module(further_sensors.__name__).functions[HEAR]
     program.add(hear, [*memory, REAL, REAL, REAL])
     program.add(program.sources.module(knowledge.__name__).functions[SAVE], memory)
     return program
@@ -157,7 +156,7 @@ def law_files(precision: Precision, blends: bool = False) -> dict[str, str]:
         found = c_files(program, [each.struct for each in memory], entries, precision)
         return law_files(precision) | {name: found[name] for name in ("schedule.h", "schedule.c")}
     program, entries = law_program(), {f"controller_{name}" for name in ENTRIES}
-    entries.add(f"echoes_{HEAR}")
+    entries.add(f"further_sensors_{HEAR}")
     entries.add(f"knowledge_{SAVE}")
     memory = _records(program.sources, layout.Table, layout.State)
     found = c_files(program, [each.struct for each in memory], entries, precision)

@@ -229,6 +229,9 @@ def random_table(
     ):  # fmt: skip
         actuator.stage.n = 1
         actuator.dead_ticks = random.integers(0, dead_ticks + 1)
+    witness = table.witness
+    witness.longest, witness.working = random.choice([0, 5, 100]), random.integers(1, 5)
+    witness.lateral_weight, witness.late = random.random(), random.choice([0.0, 0.4, 3.0])
     monitor = table.monitor
     monitor.enabled = random.random() < 0.4
     monitor.most_swings, monitor.patience = random.integers(1, 4, 2)
@@ -265,6 +268,12 @@ def random_state(
     state.echoes.index = random.integers(0, KEPT_TICKS)
     for echo in (state.echoes.channel_1, state.echoes.channel_2):
         echo.left, echo.believed, echo.good = random.integers(0, 2, 3) * [9, 1, 4]
+    witness = state.witness
+    witness.index = random.integers(0, KEPT_TICKS)
+    witness.left, witness.denied, witness.good = random.integers(0, 2, 3) * [9, 1, 4]
+    witness.apart, witness.power = abs(witness.apart), abs(witness.power)
+    for sample in (witness.yaw_rate, witness.acceleration):
+        sample.fresh, sample.age = random.integers(0, 2), random.integers(0, 9)
     state.hypotheses.verdict = random.integers(0, len(Verdict))
     state.monitor.reason = random.choice([0, 0, 0, 0, COMPENSATION_OFF, SWINGING])
     state.takeover.pending, state.takeover.active = random.integers(0, 3), random.integers(0, 2)
@@ -329,14 +338,14 @@ class Trial:
         states: the state before the first tick, shape (1,).
         inputs: reference and measurement of each tick, shape (ticks, 2); the tick in the middle is
             a reset to its reference.
-        echoes: channel, value and age of an echo before each tick, shape (ticks, 3).
+        samples: sensor, value and age of a sample before each tick, shape (ticks, 3).
         drive: blends the table before each tick; None: no blending.
     """
 
     tables: RecordArray
     states: RecordArray
     inputs: FloatArray
-    echoes: FloatArray
+    samples: FloatArray
     drive: Drive | None = None
 
     @property
@@ -370,10 +379,10 @@ def random_trials(
         states = random_state(random, tables[0], precision, even)
         inputs = reals(random, (ticks, 2), precision, even)
         drive = random_drive(random, precision, ticks, even) if blends else None
-        echoes = reals(random, (ticks, 3), precision, even)
-        echoes[:, 0] = random.choice([1.0, 1.0, 2.0, 2.0, 0.0], ticks)
-        echoes[:, 2] = random.choice([*range(KEPT_TICKS + 1), -1.0, np.nan], ticks)
-        trials.append(Trial(tables, states, inputs, echoes, drive))
+        samples = reals(random, (ticks, 3), precision, even)
+        samples[:, 0] = random.choice([1.0, 2.0, 3.0, 3.0, 4.0, 4.0, 0.0], ticks)
+        samples[:, 2] = random.choice([*range(KEPT_TICKS + 1), -1.0, np.nan], ticks)
+        trials.append(Trial(tables, states, inputs, samples, drive))
     return trials
 
 
@@ -388,7 +397,7 @@ def encoded(trials: list[Trial]) -> bytes:
         for k, inputs in enumerate(trial.inputs):
             if drive is not None:
                 orders.append(b"V" + drive.speeds[k].tobytes())
-            orders.append(b"E" + trial.echoes[k].tobytes())
+            orders.append(b"E" + trial.samples[k].tobytes())
             is_reset = k == len(trial.inputs) // 2
             orders.append(b"Z" + inputs[:1].tobytes() if is_reset else b"S" + inputs.tobytes())
         orders.append(b"I")
@@ -409,7 +418,7 @@ def states_of(law: Law, trials: list[Trial]) -> Iterator[bytes]:
             if change_speed is not None and trial.drive is not None:
                 change_speed(float(trial.drive.speeds[k]))
                 yield b"".join(each.tobytes() for each in kept)
-            hear(*trial.echoes[k].astype(float).tolist())
+            hear(*trial.samples[k].astype(float).tolist())
             if k == len(trial.inputs) // 2:
                 law.reset(tables[0], states[0], reference)
             else:

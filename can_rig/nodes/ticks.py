@@ -31,13 +31,13 @@ class RunColumns:
         frames: contents of the frames by the names of ``frameless.carried``, (ticks,) each.
         plant: the plant's report, by name; None: read the file beside the log.
         sensors: what the further sensors say, by column.
-        echo_ages: ticks since the sample of each actuator's echo, by column.
+        sample_ages: ticks since the sample of each heard sensor, by column.
     """
 
     frames: dict[str, FloatArray]
     plant: dict[str, FloatArray] | None
     sensors: dict[str, FloatArray]
-    echo_ages: dict[str, FloatArray]
+    sample_ages: dict[str, FloatArray]
 
 
 @dataclass

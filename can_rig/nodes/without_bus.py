@@ -80,7 +80,7 @@ class RunWithoutBus:
         self._frames: dict[str, FloatArray] = {}
         self._plant: dict[str, FloatArray] = {}
         self._said: dict[str, FloatArray] = {}
-        self._echo_ages: dict[str, FloatArray] = {}
+        self._sample_ages: dict[str, FloatArray] = {}
         self._hearing = hearing_of(scenario, self._network)
         self._names = [each.usual.column for each in scenario.sensors]
         self._ages = ages_of(self._names)
@@ -118,7 +118,7 @@ class RunWithoutBus:
         done = slice(self.ticks)
         frames, plant, *sensors = (
             {name: column[done] for name, column in columns.items()}
-            for columns in (self._frames, self._plant, self._said, self._echo_ages)
+            for columns in (self._frames, self._plant, self._said, self._sample_ages)
         )
         return RunColumns(frames, None if self._linear is None else plant, *sensors)
 
@@ -198,7 +198,7 @@ class RunWithoutBus:
                 frames[row, at], sent[row, at] = list(message.data), True
                 self._hearing.take(message, ticks[row])
             heard.append(self._hearing.end_tick(ticks[row]))
-        for names, columns in ((self._names, self._said), (self._ages, self._echo_ages)):
+        for names, columns in ((self._names, self._said), (self._ages, self._sample_ages)):
             said = {name: np.array([each[name] for each in heard]) for name in names}
             self._keep(columns, ticks, said)
         return list(frames.swapaxes(0, 1)), sent

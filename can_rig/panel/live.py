@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.frame_length import FrameError, worst_case_bits
-from can_rig.controllers.protocol import echoes_in
+from can_rig.controllers.protocol import samples_in
 from can_rig.drawing.names import names_of, printed, with_unit
 from can_rig.drawing.thinning import BUCKET_S, Decimator
 from can_rig.errors import one_line
@@ -317,9 +317,9 @@ class LiveSignals:
 
     def _row(self, tick: int, *heard: float) -> tuple[float, ...]:
         said, further = heard[: ROLE_COLUMNS + CODES], heard[ROLE_COLUMNS + CODES :]
-        names = (*self._rows.sensors, *self._rows.echo_ages)
-        echoes = echoes_in(dict(zip(names, further, strict=True)))
-        evidence = self._evidence(tick, echoes, *heard[:4])
+        names = (*self._rows.sensors, *self._rows.sample_ages)
+        samples = samples_in(dict(zip(names, further, strict=True)))
+        evidence = self._evidence(tick, samples, *heard[:4])
         return (
             tick * self._scenario.tick_s,
             *said,
@@ -331,7 +331,7 @@ class LiveSignals:
     def _evidence(
         self,
         tick: int,
-        echoes: Iterable[tuple[int, float, float]],
+        samples: Iterable[tuple[int, float, float]],
         reference: float,
         measured: float,
         *sent: float,
@@ -345,7 +345,7 @@ class LiveSignals:
             self._reasoning = None
             return UNKNOWN
         self._next_tick += 1
-        _, evidence = self._reasoning.take(tick, reference, measured, echoes)
+        _, evidence = self._reasoning.take(tick, reference, measured, samples)
         for own, its, lsb in zip(self._reasoning.commands, sent, self._lsbs, strict=True):
             if abs(own - its) > max(0.5 * lsb, FLOAT_FRAME * abs(own)):
                 self._reasoning = None

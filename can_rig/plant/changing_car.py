@@ -64,7 +64,7 @@ def linear_plant(scenario: Scenario) -> SampledPlant | None:
     """
     if scenario.plant.is_own or scenario.drive.is_given or scenario.disturbances:
         return None
-    if scenario.hears_actuators or (scenario.sensors and not scenario.controller.is_ours):
+    if scenario.heard or (scenario.sensors and not scenario.controller.is_ours):
         return None
     return sampled_plant(scenario.plant, scenario.tick_s, scenario.sensors)
 

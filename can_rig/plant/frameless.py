@@ -225,7 +225,7 @@ def simulation(
     at_rest: RecordArray | None = None,
 ) -> Simulation:
     """``scenario`` without a bus, at rest; for the arguments see ``frameless``, ``Simulation``."""
-    hears = scenario.hears_actuators if of is not None else bool(network.witnesses)
+    hears = bool(scenario.heard) if of is not None else bool(network.witnesses)
     if hears and not isinstance(plant, Sensed):
         assert not isinstance(plant, SampledPlant)
         plant = Sensed(scenario, network, plant)

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from can import Message
 
-from can_rig.controllers.protocol import echoes_in
+from can_rig.controllers.protocol import samples_in
 from can_rig.frames.codec import Hearing, MessageCodec, Transmitter
 from can_rig.frames.network import Network
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
@@ -237,9 +237,9 @@ class Sensed:
         self.sent.append(self._frames.of(said, self._tick))
         self._tick += 1
 
-    def echoes(self) -> list[tuple[int, float, float]]:
+    def samples(self) -> list[tuple[int, float, float]]:
         """See ``Hears``."""
-        return echoes_in(self.heard())
+        return samples_in(self.heard())
 
     def heard(self) -> Mapping[str, float]:
         """What a controller hears at this tick, once; see ``Hearing``."""

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from can_rig import paged
-from can_rig.controllers.protocol import echoes_in
+from can_rig.controllers.protocol import samples_in
 from can_rig.drawing.names import Names, names_of
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
@@ -52,7 +52,7 @@ class Reasoning:
         tick: int,
         reference: float,
         measured: float,
-        echoes: Iterable[tuple[int, float, float]] = (),
+        samples: Iterable[tuple[int, float, float]] = (),
     ) -> tuple[int, FloatArray]:
         """The verdict of this tick, and the evidence of each hypothesis in the order ``EVIDENCE``.
 
@@ -64,8 +64,8 @@ class Reasoning:
             self._firmware = self._made()
         if self._speeds is not None:
             self._firmware.change_speed(self._speeds[min(tick, len(self._speeds) - 1)])
-        for echo in echoes:
-            self._firmware.hear(*echo)
+        for sample in samples:
+            self._firmware.hear(*sample)
         self._firmware.step(reference, measured)
         hypotheses = self._firmware.hypotheses
         return int(hypotheses["verdict"]), hypotheses["evidence"][1:]
@@ -101,14 +101,14 @@ def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Sign
         return _as_said(signals)
     reasoning = Reasoning(scenario, network)
     columns = {name: paged.empty(len(signals)) for name in (VERDICT, *EVIDENCE)}
-    told = [*signals.sensors.items(), *signals.echo_ages.items()]
+    told = [*signals.sensors.items(), *signals.sample_ages.items()]
     for rows in paged.blocks(len(signals)):
         ticks = np.rint(signals.time_s[rows] / scenario.tick_s).astype(np.int64).tolist()
         verdicts, evidence = np.zeros(len(ticks)), np.zeros((len(ticks), len(EVIDENCE)))
         inputs = signals.reference_mps2[rows].tolist(), signals.dstar_mps2[rows].tolist()
         for row, (tick, reference, measured) in enumerate(zip(ticks, *inputs, strict=True)):
-            echoes = echoes_in({name: column.item(rows.start + row) for name, column in told})
-            verdicts[row], evidence[row] = reasoning.take(tick, reference, measured, echoes)
+            samples = samples_in({name: column.item(rows.start + row) for name, column in told})
+            verdicts[row], evidence[row] = reasoning.take(tick, reference, measured, samples)
         said = np.clip(np.nan_to_num(evidence, nan=0.0), -CERTAIN, CERTAIN)
         for name, values in zip(EVIDENCE, np.round(said, DECIMALS).T + 0.0, strict=True):
             columns[name][rows] = values
@@ -132,7 +132,7 @@ _WORDS: Final = {
     Verdict.TORQUE_LOST: "{command_1} lost",
     Verdict.TORQUE_OFFSET: "{command_1} off by a constant",
     Verdict.FORCE_LOST: "{command_2} lost",
-    Verdict.SENSOR_BIASED: "{output} sensor biased",
+    Verdict.SENSOR_WRONG: "{output} sensor wrong",
     Verdict.SENSOR_DRIFTING: "{output} sensor drifting",
     Verdict.SENSOR_FROZEN: "{output} sensor frozen",
     Verdict.ANOTHER_CAR: "no fault, another plant than the model",

@@ -330,7 +330,7 @@ def _of(scenario: Scenario, signals: Signals, at: int) -> dict[str, Any]:
 
 NOT_THE_TORQUE: Final = (
     Verdict.FORCE_LOST,
-    Verdict.SENSOR_BIASED,
+    Verdict.SENSOR_WRONG,
     Verdict.SENSOR_DRIFTING,
     Verdict.SENSOR_FROZEN,
 )
@@ -592,7 +592,7 @@ NAMED: Final[dict[Verdict, frozenset[str]]] = {
     Verdict.TORQUE_LOST: frozenset({TORQUE}),
     Verdict.TORQUE_OFFSET: frozenset({TORQUE}),
     Verdict.FORCE_LOST: frozenset({FORCE}),
-    Verdict.SENSOR_BIASED: frozenset({SENSOR}),
+    Verdict.SENSOR_WRONG: frozenset({SENSOR}),
     Verdict.SENSOR_DRIFTING: frozenset({SENSOR}),
     Verdict.SENSOR_FROZEN: frozenset({SENSOR}),
     Verdict.BOTH_LOST: frozenset({TORQUE, FORCE}),

@@ -65,8 +65,8 @@ class Signals:
     """What the further sensors say, by column."""
     whose_fault: PlantSignals = field(default_factory=dict)
     """The verdict on the fault, and the evidence; see ``results.isolation``."""
-    echo_ages: PlantSignals = field(default_factory=dict)
-    """Ticks since the sample of each actuator's echo, by column."""
+    sample_ages: PlantSignals = field(default_factory=dict)
+    """Ticks since the sample of each heard sensor, by column."""
 
     @property
     def error_mps2(self) -> FloatArray:
@@ -85,7 +85,7 @@ class Signals:
             verdict=None if self.verdict is None else self.verdict[rows],
             plant={name: column[rows] for name, column in self.plant.items()},
             sensors={name: column[rows] for name, column in self.sensors.items()},
-            echo_ages={name: column[rows] for name, column in self.echo_ages.items()},
+            sample_ages={name: column[rows] for name, column in self.sample_ages.items()},
             whose_fault={name: column[rows] for name, column in self.whose_fault.items()},
         )
 
@@ -148,7 +148,10 @@ def signals_of_columns(columns: RunColumns, tick_s: float, log: Path) -> Signals
     ticks = len(columns.frames["mode"]) if columns.frames else 0
     frames: Any = columns.frames
     signals = Signals(
-        times_s(0, ticks, tick_s), **frames, sensors=columns.sensors, echo_ages=columns.echo_ages
+        times_s(0, ticks, tick_s),
+        **frames,
+        sensors=columns.sensors,
+        sample_ages=columns.sample_ages,
     )
     if columns.plant is None:
         return with_plant_signals(signals, log, tick_s)
@@ -202,7 +205,7 @@ def signals_of(
         Signals(times_s(first_tick, ticks, tick_s), *columns[: ROLE_COLUMNS + CODES - 1]),
         verdict=verdict,
         sensors=dict(zip(table.sensors, further, strict=False)),
-        echo_ages=dict(zip(table.echo_ages, further[len(table.sensors) :], strict=True)),
+        sample_ages=dict(zip(table.sample_ages, further[len(table.sensors) :], strict=True)),
     )
 
 
@@ -234,7 +237,7 @@ class SignalRows:
         ]
         """Columns of the further sensors."""
         timings = [(period, 0, 0) for period in network.periods]
-        self.echo_ages: Final = ages_of(self.sensors)
+        self.sample_ages: Final = ages_of(self.sensors)
         """Columns of the ages of the actuators' echoes."""
         self._hearing = Hearing(network.witnesses, timings, self.sensors)
         self._tick = -1
@@ -243,7 +246,7 @@ class SignalRows:
     @property
     def width(self) -> int:
         """Values of a row."""
-        return ROLE_COLUMNS + CODES + len(self.sensors) + len(self.echo_ages)
+        return ROLE_COLUMNS + CODES + len(self.sensors) + len(self.sample_ages)
 
     @property
     def tick(self) -> int:
@@ -334,7 +337,7 @@ class SignalRows:
         for _ in range(ahead):
             self.rows.append([math.nan] * self.width)
         heard = self._hearing.end_tick(self._tick)
-        further = (heard[name] for name in (*self.sensors, *self.echo_ages))
+        further = (heard[name] for name in (*self.sensors, *self.sample_ages))
         self.rows[-1][ROLE_COLUMNS + CODES :] = further
 
     def _end_ticks(self, at: int, ticks: int) -> None:

@@ -16,6 +16,7 @@ from can_rig.scenario.box import in_box, uncertain, with_lags
 from can_rig.scenario.log_signals import OF_SENSORS, LogSignal, terms, unit_factor
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
+from can_rig.scenario.sensor_settings import ECHOES, LATERAL_ACCELERATION, YAW_RATE
 from can_rig.scenario.settings import Scenario
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
@@ -24,7 +25,7 @@ from firmware_model.design.mismatch import Mismatch, principal_mismatch
 from firmware_model.design.vehicle import GRAVITY_MPS2
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build
-from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.targets import Reporting, Target, Witness
 from firmware_model.errors import DesignError
 from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.law.layout import Table
@@ -260,9 +261,40 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         monitor=limits.monitor,
         doubt=scenario.budget.box,
         motion_limit=scenario.model.friction * GRAVITY_MPS2 if scenario.model.is_car else math.inf,
-        echoes=scenario.model.stages[:2] if scenario.hears_actuators else None,
+        echoes=_echoes(scenario),
+        witness=_witness(scenario),
         precision=chosen.precision,
     )
+
+
+def _echoes(scenario: Scenario) -> tuple[Reporting, Reporting] | None:
+    """What the actuators report, where one reports."""
+    found = {each.measures: each for each in scenario.sensors if each.measures in ECHOES}
+    noises = [
+        math.hypot(found[echo].noise_rms, found[echo].step) if echo in found else 0.0
+        for echo in ECHOES
+    ]
+    torque, force, _ = map(Reporting, scenario.model.stages, (*noises, 0.0))
+    return (torque, force) if found else None
+
+
+def _witness(scenario: Scenario) -> Witness | None:
+    """What yaw rate and lateral acceleration say of D*, where the scenario has both sensors."""
+    found = {each.measures: each for each in scenario.sensors}
+    if not (scenario.model.is_car and YAW_RATE in scenario.heard):
+        return None
+    turning, lateral = found[YAW_RATE], found[LATERAL_ACCELERATION]
+    weight, speed = scenario.model.lateral_weight, scenario.model.speed_mps
+    of_turning = (1.0 - weight) * speed
+    parts = [
+        factor * figure
+        for factor, each in ((of_turning, turning), (weight, lateral))
+        for figure in (each.noise_rms, each.step)
+    ]
+    lag_s = (1.0 - weight) * turning.lag_s + weight * lateral.lag_s
+    keys, _ = _uncertain(scenario)
+    doubt = scenario.budget.box if "speed_mps" in keys else 0.0
+    return Witness(weight, speed, lag_s, math.hypot(*parts), doubt)
 
 
 def mismatch(scenario: Scenario) -> Mismatch:

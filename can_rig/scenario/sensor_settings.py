@@ -24,9 +24,12 @@ Measured = Literal[
 ]
 MEASURED: Final[tuple[Measured, ...]] = get_args(Measured)
 """What a sensor can measure, in the order of the frames; each word names its sensor."""
-YAW_RATE: Final = "yaw-rate"
-ECHOES: Final = ("torque-echo", "force-difference-echo")
+YAW_RATE: Final[Measured] = "yaw-rate"
+LATERAL_ACCELERATION: Final[Measured] = "lateral-acceleration"
+ECHOES: Final[tuple[Measured, ...]] = ("torque-echo", "force-difference-echo")
 """What each actuator says it applies, by channel."""
+HEARD: Final[tuple[Measured, ...]] = (*ECHOES, YAW_RATE, LATERAL_ACCELERATION)
+"""What the rig's own law hears, in the order of the numbers of ``further_sensors.hear``."""
 
 USUAL_PERIOD_S: Final = 0.01
 LONGEST_PERIOD_S: Final = 1.0

@@ -38,7 +38,15 @@ from can_rig.scenario.plant_settings import (
     PlantSettings,
     SignalSettings,
 )
-from can_rig.scenario.sensor_settings import ECHOES, MEASURED, FurtherSensor
+from can_rig.scenario.sensor_settings import (
+    ECHOES,
+    HEARD,
+    LATERAL_ACCELERATION,
+    MEASURED,
+    YAW_RATE,
+    FurtherSensor,
+    Measured,
+)
 from firmware_model.design.vehicle import VehicleParameters
 from firmware_model.discretisation.rules import Rule
 from firmware_model.law.structs import MAX_LATENCY_TICKS, Precision
@@ -462,9 +470,16 @@ class Scenario:
         return tuple(sorted(self.sensor, key=lambda each: MEASURED.index(each.measures)))
 
     @cached_property
-    def hears_actuators(self) -> bool:
-        """Whether an actuator reports its output, which the rig's own law hears."""
-        return any(each.measures in ECHOES for each in self.sensor)
+    def heard(self) -> tuple[Measured, ...]:
+        """What the rig's own law hears beside reference and D*, in the order of ``HEARD``.
+
+        Yaw rate and lateral acceleration count only together.
+        """
+        found = {each.measures for each in self.sensor}
+        witness = {YAW_RATE, LATERAL_ACCELERATION}
+        return tuple(
+            each for each in HEARD if each in found and (each in ECHOES or witness <= found)
+        )
 
     @cached_property
     def places(self) -> tuple[str, ...]:

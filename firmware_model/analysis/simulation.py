@@ -35,7 +35,7 @@ from firmware_model.analysis.loop import (
 )
 from firmware_model.analysis.sampled_plant import SampledPlant, follow
 from firmware_model.law import controller as law
-from firmware_model.law.fault_decision.echoes import hear_first
+from firmware_model.law.further_sensors import hear_first
 from firmware_model.law.knowledge import saved_in
 from firmware_model.law.layout import Table, precision_of, table_type
 from firmware_model.law.schedule import Constants, change_first_speed
@@ -112,10 +112,10 @@ class SensedPlant(AnyPlant, Protocol):
 
 
 class Hears(Protocol):
-    """Who hears the actuators' echoes."""
+    """Who hears the further sensors."""
 
-    def echoes(self) -> Iterable[tuple[int, float, float]]:
-        """The echoes of this tick, for ``echoes.hear``; asked once a tick."""
+    def samples(self) -> Iterable[tuple[int, float, float]]:
+        """The samples of this tick, for ``further_sensors.hear``; asked once a tick."""
 
     def restart(self) -> None:
         """The controller begins again, as after power-up."""
@@ -165,7 +165,7 @@ class Simulation:
         frames: (3, ``GRID``), frames of both commands and of the measurement; see ``hardware``.
         keeps_states: whether ``plant_states`` records the states of a ``SampledPlant``.
         at_rest: (1,), the controller's first state, also after a restart; None: at rest.
-        hears: hears the actuators' echoes. Default: the law hears no echo.
+        hears: hears the further sensors. Default: the law hears none.
         restarts: in ascending order, the first tick without power, the tick at whose begin the
             controller starts again, and whether the state saved before survives.
     """
@@ -304,8 +304,8 @@ class Simulation:
             if self._speed is not None:
                 change_first_speed(*self._speeds, self._speed[k])
             if self._hears is not None:
-                for echo in self._hears.echoes():
-                    hear_first(*self._loop[:2], *echo)
+                for sample in self._hears.samples():
+                    hear_first(*self._loop[:2], *sample)
             return tick(*self._loop, k, *self._output)
         _, _, inputs, grid, actuators, signals, states = self._loop
         measured = measure(inputs, grid, actuators, signals, k, *self._output)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_model.design.actuator_dynamics import Stage
 from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.mismatch import STEP
 from firmware_model.design.zpk import ZeroPoleGain
@@ -19,13 +18,14 @@ from firmware_model.discretisation.coprime import SampledFactors, sampled_factor
 from firmware_model.discretisation.monitor import fill_monitor
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.takeover import fill_takeover
-from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.targets import Reporting, Target, Witness
 from firmware_model.discretisation.tustin import tustin, zoh
 from firmware_model.discretisation.whitening import Whitening, whitening
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
 from firmware_model.law.fault_decision.echoes import Constants as EchoesConstants
 from firmware_model.law.fault_decision.hypotheses.frozen import Constants as FrozenConstants
+from firmware_model.law.fault_decision.witness import Constants as WitnessConstants
 from firmware_model.law.filters import biquad, whitener
 from firmware_model.law.filters.estimator import Constants as EstimatorConstants
 from firmware_model.law.layout import Table, table_type
@@ -64,11 +64,26 @@ def fill_hypotheses(table: Table, target: Target) -> None:
         fill_echoes(table.echoes, target.echoes, target.tick_s)
 
 
-def fill_echoes(echoes: EchoesConstants, actuators: tuple[Stage, Stage], tick_s: float) -> None:
+def fill_witness(witness: WitnessConstants, of: Witness, target: Target) -> None:
+    """D* made of yaw rate and lateral acceleration."""
+    witness.lateral_weight, witness.speed = of.lateral_weight, of.speed_mps
+    witness.late = of.lag_s / target.tick_s
+    witness.longest = max(math.ceil(ECHO_S / target.tick_s), LEAST_ECHO_TICKS)
+    witness.keep, witness.nearer, witness.working = KEEP, NEARER, AGREEING_SAMPLES
+    noise = math.hypot(of.noise_rms, target.noise_rms, target.resolution)
+    witness.noise = (APART * noise) ** 2
+    witness.doubt = of.doubt**2
+
+
+def fill_echoes(
+    echoes: EchoesConstants, actuators: tuple[Reporting, Reporting], tick_s: float
+) -> None:
     """Both actuators between commands that arrive at ticks, with their commands held between."""
     echoes.longest = max(math.ceil(ECHO_S / tick_s), LEAST_ECHO_TICKS)
     echoes.working = WORKING_ECHOES
-    for own, actuator in ((echoes.actuator_1, actuators[0]), (echoes.actuator_2, actuators[1])):
+    for own, reporting in ((echoes.actuator_1, actuators[0]), (echoes.actuator_2, actuators[1])):
+        own.least = (CLEAR_OF_NOISE * reporting.noise_rms) ** 2
+        actuator = reporting.actuator
         lag = actuator.transfer_function
         if lag.poles:
             stage = zoh(lag, tick_s)
@@ -174,6 +189,11 @@ WHITE = 0.1  # white part of the remainder
 RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's change of G1 u1
 POWERLESS_S = 0.3  # a car follows large commands sooner
 WORKING_ECHOES = 50  # good echoes, one after another, that end a fault
+KEEP = 0.8  # factor per sample of the fading sums of a witness
+NEARER = 4.0  # ratio of squares: who is wrong is twice as far away
+APART = 7.0  # deviations of the noise, in a fading sum of five samples
+AGREEING_SAMPLES = 200  # one after another, that end the denial of a sensor
+CLEAR_OF_NOISE = 8.0  # least output, in deviations of the noise, to say that it is missing
 ECHO_S, LEAST_ECHO_TICKS = 0.1, 5  # an echo that stays away for longer gives no information
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
 
@@ -242,6 +262,8 @@ def build(design: ContinuousDesign, target: Target) -> Table:
     )
     table.prediction.fading = _memory(target, SLOWEST_TRANSFER_S)
     table.prediction.longest = math.ceil(target.blind_s / target.tick_s)
+    if table.prediction.enabled and target.witness is not None:
+        fill_witness(table.witness, target.witness, target)
     if table.prediction.enabled and not table.estimator.measurement.n:
         fill_takeover(table.takeover, target, filters.estimator_1)
     fill_monitor(table.monitor, design.plant, target)

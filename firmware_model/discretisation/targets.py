@@ -15,6 +15,38 @@ HOUR_S = 3600.0
 
 
 @dataclass(frozen=True)
+class Reporting:
+    """An actuator that reports its output.
+
+    Attributes:
+        actuator: from its command to its output.
+        noise_rms: rms of the report's noise, resolution included, in the unit of the command.
+    """
+
+    actuator: Stage
+    noise_rms: float = 0.0
+
+
+@dataclass(frozen=True)
+class Witness:
+    """Yaw rate and lateral acceleration as a witness of D*.
+
+    Attributes:
+        lateral_weight: d, the weight of the lateral acceleration.
+        speed_mps: V, of the design.
+        lag_s: of both sensors.
+        noise_rms: rms of the noise in D* made of both, resolutions included.
+        doubt: share by which V may be off; 0: the speed is measured.
+    """
+
+    lateral_weight: float
+    speed_mps: float
+    lag_s: float = 0.0
+    noise_rms: float = 0.0
+    doubt: float = 0.0
+
+
+@dataclass(frozen=True)
 class Target:
     """The target of the design: all settings of the table besides the continuous design.
 
@@ -47,6 +79,7 @@ class Target:
         motion_limit: largest motion that the tires can hold, in the measurement's unit.
         prewarp_rad_per_s: frequency at which C and F̂ keep their continuous response exactly.
         echoes: both actuators, whose outputs the law hears; None: an actuator reports nothing.
+        witness: yaw rate and lateral acceleration, which the law hears; None: the law does not.
         precision: of every number in the table and the state.
     """
 
@@ -74,7 +107,8 @@ class Target:
     doubt: float = 0.0
     motion_limit: float = math.inf
     prewarp_rad_per_s: float | None = None
-    echoes: tuple[Stage, Stage] | None = None
+    echoes: tuple[Reporting, Reporting] | None = None
+    witness: Witness | None = None
     precision: Precision = "float64"
 
     def __post_init__(self) -> None:

@@ -37,15 +37,20 @@ from firmware_model.law.actuator import quantise, saturate, saturate_rate
 from firmware_model.law.fault_decision.bumpless_transfer import release, transfer
 from firmware_model.law.fault_decision.decision import (
     CLEAR,
+    CONFIRMED,
     compensated_output,
     decide,
+    set_aside,
     show_acting_commands,
+    withdraw_loss,
 )
 from firmware_model.law.fault_decision.echoes import advance_echoes, settle_echoes
 from firmware_model.law.fault_decision.hypotheses.sensor_error import advance_sensor_error
 from firmware_model.law.fault_decision.hypotheses.signatures import advance_signatures
 from firmware_model.law.fault_decision.hypotheses.verdict import (
+    NOTHING,
     SENSOR_FROZEN,
+    SENSOR_WRONG,
     clear_hypotheses,
 )
 from firmware_model.law.fault_decision.likelihood_ratio import (
@@ -67,6 +72,13 @@ from firmware_model.law.fault_decision.other_cars import (
     settle_other_cars,
 )
 from firmware_model.law.fault_decision.safe_stop import stops, take_commands_back
+from firmware_model.law.fault_decision.witness import (
+    advance_witness,
+    forget_loss,
+    refutes,
+    settle_witness,
+    weigh_witness,
+)
 from firmware_model.law.filters.biquad import advance, output, settle
 from firmware_model.law.filters.estimator import (
     advance_model,
@@ -77,9 +89,11 @@ from firmware_model.law.filters.estimator import (
 from firmware_model.law.filters.prediction import (
     clear_prediction,
     distrust,
+    follow_witness,
     note_measurement,
     predicted,
     stand_in,
+    turn_to_witness,
 )
 from firmware_model.law.filters.shortfall import make_up
 from firmware_model.law.filters.tracking import (
@@ -152,8 +166,9 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
     told = math.isfinite(r)
     frozen = state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement
     measured = math.isfinite(y) and not frozen
+    seen = (measured and state.witness.denied == 0) or state.witness.left > 0
     predicts = table.prediction.enabled == 1 and state.takeover.pending == BEGUN
-    if stops(table, state, told and measured):
+    if stops(table, state, told and seen):
         take_commands_back(table, state)
         go_on(table, state)
         state.mode = MODE_SAFE_STOP
@@ -226,6 +241,9 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     # Every filter's answer to zero input: the output before this tick's commands.
     zero = real(0.0, held_1)
     rest_1, before_2 = model_output(estimator, state.estimator, zero, held_2)
+    if table.witness.longest > 0:
+        witness(table, state, y, rest_1 + before_2)
+        measured = measured and state.witness.denied == 0
     y = measurement_or_prediction(table, state, y, measured, rest_1 + before_2)
     tracked = tracked_reference(table, state, r)
     seen = y + state.prediction.fading + missing_output(table, state)
@@ -263,6 +281,25 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     state.fault_estimate = estimate
     state.mode = MODE_RUN if measured else MODE_BLIND
     advance_models(table, state, torque - possible_1, force - possible_2)
+
+
+@firmware
+def witness(table: Table, state: State, y: float, model_output: float) -> None:
+    """Let the witness judge the sensor, and a known loss of channel 1."""
+    own, before = state.witness, state.witness.denied
+    expected = predicted(table, state, model_output - missing_shown(table, state))
+    weigh_witness(table, own, y, expected, predicted(table, state, model_output))
+    if own.denied > before:
+        set_aside(table, state)
+        turn_to_witness(state.prediction, own.difference)
+    if state.fault_state == CONFIRMED and refutes(table.witness, own):
+        state.prediction.difference -= missing_shown(table, state)
+        withdraw_loss(table, state)
+        forget_loss(own)
+    if own.denied == 1:
+        state.hypotheses.verdict = SENSOR_WRONG
+    elif before == 1:
+        state.hypotheses.verdict = NOTHING
 
 
 @firmware
@@ -313,6 +350,8 @@ def measurement_or_prediction(
         return y
     elif math.isfinite(y):
         distrust(own, y, expected)
+    if state.witness.left > 0:
+        follow_witness(constants, own, state.witness.difference)
     stood_in: float = stand_in(constants, own, expected)
     return stood_in
 
@@ -349,6 +388,7 @@ def advance_models(table: Table, state: State, short_1: float, short_2: float) -
     advance_other_cars(table, state)
     advance_signatures(table, state)
     advance_echoes(table, state)
+    advance_witness(table, state.witness)
     advance_sensor_error(table, state)
     advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
     advance_motion(table.takeover, table.estimator.channel_1, state.takeover)
@@ -397,6 +437,7 @@ def settle_loop(table: Table, state: State, target: float) -> None:
     start_candidate(table, state)
     clear_hypotheses(state)
     settle_echoes(table, state)
+    settle_witness(state.witness, target)
     clear_prediction(state.prediction)
     recall_car(table, state)
     state.safe_stop.elapsed = state.standby.elapsed = 0.0

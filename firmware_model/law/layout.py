@@ -50,6 +50,8 @@ from firmware_model.law.fault_decision.safe_stop import (
 from firmware_model.law.fault_decision.safe_stop import (
     State as SafeStopState,
 )
+from firmware_model.law.fault_decision.witness import Constants as WitnessConstants
+from firmware_model.law.fault_decision.witness import State as WitnessState
 from firmware_model.law.filters import shortfall
 from firmware_model.law.filters.compensator import (
     Constants as CompensatorConstants,
@@ -102,6 +104,7 @@ class Table(Struct):
     decision: Annotated[DecisionConstants, "1", "on the fault state"]
     bumpless_transfer: Annotated[BumplessTransferConstants, "1", "of F̂ to s w"]
     echoes: Annotated[EchoesConstants, "1", "of what the actuators report"]
+    witness: Annotated[WitnessConstants, "1", "of yaw rate and lateral acceleration"]
     hypotheses: Annotated[verdict.Constants, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopConstants, "1", "where both actuators are lost"]
     prediction: Annotated[PredictionConstants, "1", "in place of a missing measurement"]
@@ -126,6 +129,7 @@ class State(status.State):
     loss_model: Annotated[LossModelState, "1", "what is lost"]
     bumpless_transfer: Annotated[BumplessTransferState, "1", "of F̂ to s w"]
     echoes: Annotated[EchoesState, "1", "what the actuators report"]
+    witness: Annotated[WitnessState, "1", "what yaw rate and lateral acceleration say"]
     hypotheses: Annotated[verdict.State, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopState, "1", "where the commands have to go"]
     prediction: Annotated[PredictionState, "1", "in place of a missing measurement"]

@@ -13,6 +13,7 @@ from firmware_model.law.fault_decision.likelihood_ratio import start_candidate
 from firmware_model.law.fault_decision.loss_model import clear_loss_model
 from firmware_model.law.fault_decision.mismatch import clear_mismatch
 from firmware_model.law.fault_decision.other_cars import clear_other_cars, show_other_cars
+from firmware_model.law.fault_decision.witness import settle_witness
 from firmware_model.law.filters.biquad import output
 from firmware_model.law.filters.estimator import clear_estimator, model_output
 from firmware_model.law.filters.prediction import clear_prediction
@@ -44,6 +45,7 @@ def clear_memories(table: Table, state: State) -> None:
         clear_models(state)
     start_candidate(table, state)
     clear_hypotheses(state)
+    settle_witness(state.witness, real(0.0, state.command_1))
     clear_prediction(state.prediction)
     end_takeover(state.takeover)
 

@@ -106,6 +106,8 @@ def change_speed(
     if not math.isfinite(v):
         return
     note_speed(state, v, schedule.speed[0])
+    if table.witness.longest > 0:
+        table.witness.speed = v
     place = place_of(schedule, v)
     if place == own.place:
         return

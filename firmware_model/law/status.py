@@ -48,8 +48,8 @@ class Verdict(IntEnum):
     """Channel 1 does more or less than it is told, by a constant."""
     FORCE_LOST = 3
     """Channel 2 is lost, or a part of it."""
-    SENSOR_BIASED = 4
-    """The sensor is off by a constant."""
+    SENSOR_WRONG = 4
+    """The sensor is off: by a constant, or as the witness says."""
     SENSOR_DRIFTING = 5
     """The sensor is off by more and more."""
     SENSOR_FROZEN = 6

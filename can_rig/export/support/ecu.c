@@ -29,11 +29,11 @@ static void begin(struct ecu *ecu)
     receiver_begin(&ecu->speed, &frame_speed);
     ecu->speed_offered = false;
 //: end
-//: if echoes
-    for (uint32_t i = 0; i < ECU_ECHOES; i++) {
-        receiver_begin(&ecu->echoes[i].receiver, &ecu_echoes[i].frame);
-        ecu->echoes[i].offered = false;
-        ecu->echoes[i].value = (real)NAN;
+//: if sensors
+    for (uint32_t i = 0; i < ECU_SENSORS; i++) {
+        receiver_begin(&ecu->sensors[i].receiver, &ecu_sensors[i].frame);
+        ecu->sensors[i].offered = false;
+        ecu->sensors[i].value = (real)NAN;
     }
 //: end
     ecu->running = false;
@@ -107,37 +107,37 @@ static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
 }
 //: end
 //: end
-//: if echoes
+//: if sensors
 
-/* Note the content of an echo for this tick; an invalid echo has none. */
-static void take_echo(struct ecu *ecu, uint32_t at, uint8_t length, const uint8_t *data)
+/* Note the content of a sample for this tick; an invalid sample has none. */
+static void take_sample(struct ecu *ecu, uint32_t at, uint8_t length, const uint8_t *data)
 {
-    const struct frame *const frame = &ecu_echoes[at].frame;
-    struct ecu_echo *const echo = &ecu->echoes[at];
+    const struct frame *const frame = &ecu_sensors[at].frame;
+    struct ecu_sensor *const sensor = &ecu->sensors[at];
 
-    if (receive(&echo->receiver, ecu->tick, length, data)) {
+    if (receive(&sensor->receiver, ecu->tick, length, data)) {
         const uint32_t sample = (uint32_t)data[4] | (uint32_t)data[5] << 8;
         const uint32_t most = (1u << frame->verdict_bits) - 1u;
         const bool valid = ((uint32_t)data[1] >> frame->mode_shift & 1u) != 0u;
 
-        echo->value = valid ? frame_value(frame, data) : (real)NAN;
-        echo->age = (real)((ecu->tick - sample) & most);
+        sensor->value = valid ? frame_value(frame, data) : (real)NAN;
+        sensor->age = (real)((ecu->tick - sample) & most);
     }
 }
 
-/* Whether 'id' is of an echo, which is noted. */
-static bool is_echo(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data)
+/* Whether 'id' is of a sample, which is noted. */
+static bool is_sample(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data)
 {
-    for (uint32_t i = 0; i < ECU_ECHOES; i++) {
-        struct ecu_echo *const echo = &ecu->echoes[i];
+    for (uint32_t i = 0; i < ECU_SENSORS; i++) {
+        struct ecu_sensor *const sensor = &ecu->sensors[i];
 
-        if (id == ecu_echoes[i].frame.id) {
+        if (id == ecu_sensors[i].frame.id) {
             if (ecu->running) {
-                take_echo(ecu, i, length, data);
+                take_sample(ecu, i, length, data);
             } else {
-                echo->offered = true;
-                echo->first_length = length;
-                (void)memcpy(echo->first, data, length < 8 ? length : 8);
+                sensor->offered = true;
+                sensor->first_length = length;
+                (void)memcpy(sensor->first, data, length < 8 ? length : 8);
             }
             return true;
         }
@@ -145,25 +145,25 @@ static bool is_echo(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t 
     return false;
 }
 
-static void hear_echoes(struct ecu *ecu)
+static void hear_sensors(struct ecu *ecu)
 {
-    for (uint32_t i = 0; i < ECU_ECHOES; i++) {
-        struct ecu_echo *const echo = &ecu->echoes[i];
+    for (uint32_t i = 0; i < ECU_SENSORS; i++) {
+        struct ecu_sensor *const sensor = &ecu->sensors[i];
 
-        if (isnan(echo->value) == 0) {
-            firmware_hear(&ecu->state, (real)ecu_echoes[i].channel, echo->value, echo->age);
+        if (isnan(sensor->value) == 0) {
+            firmware_hear(&ecu->state, (real)ecu_sensors[i].number, sensor->value, sensor->age);
         }
-        echo->value = (real)NAN;
+        sensor->value = (real)NAN;
     }
 }
 
-static void end_tick_of_echoes(struct ecu *ecu)
+static void end_tick_of_sensors(struct ecu *ecu)
 {
-    for (uint32_t i = 0; i < ECU_ECHOES; i++) {
-        const struct ecu_echo_frame *const of = &ecu_echoes[i];
+    for (uint32_t i = 0; i < ECU_SENSORS; i++) {
+        const struct ecu_sensor_frame *const of = &ecu_sensors[i];
 
         if (ecu->ticks >= of->phase && (ecu->ticks - of->phase) % of->period == 0u) {
-            end_tick(&ecu->echoes[i].receiver);
+            end_tick(&ecu->sensors[i].receiver);
         }
     }
     ecu->ticks++;
@@ -191,8 +191,8 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
         return false;
     }
 //: end
-//: if echoes
-    if (is_echo(ecu, id, length, data)) {
+//: if sensors
+    if (is_sample(ecu, id, length, data)) {
         return false;
     }
 //: end
@@ -210,11 +210,11 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
         take_speed(ecu, ecu->first_speed_length, ecu->first_speed);
     }
 //: end
-//: if echoes
+//: if sensors
     ecu->ticks = ecu->tick;
-    for (uint32_t i = 0; i < ECU_ECHOES; i++) {
-        if (ecu->echoes[i].offered) {
-            take_echo(ecu, i, ecu->echoes[i].first_length, ecu->echoes[i].first);
+    for (uint32_t i = 0; i < ECU_SENSORS; i++) {
+        if (ecu->sensors[i].offered) {
+            take_sample(ecu, i, ecu->sensors[i].first_length, ecu->sensors[i].first);
         }
     }
 //: end
@@ -233,8 +233,8 @@ bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *d
     } else if (id == frame_speed.id) {
         take_speed(ecu, length, data);
 //: end
-//: if echoes
-    } else if (is_echo(ecu, id, length, data)) {
+//: if sensors
+    } else if (is_sample(ecu, id, length, data)) {
         /* noted */
 //: end
     } else if (id == frame_feedback.id && receive(&ecu->feedback, ecu->tick, length, data)) {
@@ -293,9 +293,9 @@ void ecu_on_tick(struct ecu *ecu)
 {
     const bool wanted = ecu->wanted_tick == ecu->tick;
     const real reference = wanted ? ecu->wanted : (real)NAN;
-//: if echoes
+//: if sensors
 
-    hear_echoes(ecu);
+    hear_sensors(ecu);
 
 //: end
     const struct firmware_answer now =
@@ -313,8 +313,8 @@ void ecu_on_tick(struct ecu *ecu)
 //: if hears
     end_tick(&ecu->speed);
 //: end
-//: if echoes
-    end_tick_of_echoes(ecu);
+//: if sensors
+    end_tick_of_sensors(ecu);
 //: end
     pass(ecu, 4);
     ecu->measured = (real)NAN;

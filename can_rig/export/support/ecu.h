@@ -23,22 +23,22 @@ struct ecu_receiver {
     bool judged; /* whether the checker has judged a frame of this tick */
 };
 
-//: if echoes
-/* What the DBC and the scenario say of an actuator's echo. */
-struct ecu_echo_frame {
+//: if sensors
+/* What the DBC and the scenario say of a further sensor. */
+struct ecu_sensor_frame {
     struct frame frame; /* mode_shift: of the validity; the verdict: the tick of the sample */
-    uint8_t channel;
+    uint8_t number;
     uint32_t period; /* in ticks, from tick 'phase' on */
     uint32_t phase;
 };
 
-#define ECU_ECHOES {echoes}u
-extern const struct ecu_echo_frame ecu_echoes[ECU_ECHOES];
+#define ECU_SENSORS {sensors}u
+extern const struct ecu_sensor_frame ecu_sensors[ECU_SENSORS];
 
-/* The receiving end of an echo. */
-struct ecu_echo {
+/* The receiving end of a sample. */
+struct ecu_sensor {
     struct ecu_receiver receiver;
-    bool offered;     /* whether an echo came before the first contact: */
+    bool offered;     /* whether a sample came before the first contact: */
     uint8_t first[8]; /* its bytes */
     uint8_t first_length;
     real value; /* of this tick; NAN until one is accepted */
@@ -64,8 +64,8 @@ struct ecu {
     uint8_t first_speed[8]; /* its bytes */
     uint8_t first_speed_length;
 //: end
-//: if echoes
-    struct ecu_echo echoes[ECU_ECHOES];
+//: if sensors
+    struct ecu_sensor sensors[ECU_SENSORS];
     uint32_t ticks; /* the next tick, counted on beyond 16 bits */
 //: end
     bool is_fit;          /* whether the self-test succeeded; else the node takes in no frame */

@@ -5,8 +5,8 @@
 #include "constants.h"
 #include "controller.h"
 #include "crc.h"
-//: if echoes
-#include "echoes.h"
+//: if sensors
+#include "further_sensors.h"
 //: end
 #include "self_test.h"
 
@@ -92,16 +92,16 @@ void firmware_reset(struct layout_state *state, real reference)
 //: end
 }
 
-//: if echoes
+//: if sensors
 //: if blends
-void firmware_hear(struct firmware_memory *memory, real channel, real echo, real age)
+void firmware_hear(struct firmware_memory *memory, real sensor, real value, real age)
 {
-    echoes_hear(&memory->table, &memory->state, channel, echo, age);
+    further_sensors_hear(&memory->table, &memory->state, sensor, value, age);
 }
 //: else
-void firmware_hear(struct layout_state *state, real channel, real echo, real age)
+void firmware_hear(struct layout_state *state, real sensor, real value, real age)
 {
-    echoes_hear(&controller_table, state, channel, echo, age);
+    further_sensors_hear(&controller_table, state, sensor, value, age);
 }
 //: end
 

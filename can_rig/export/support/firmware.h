@@ -102,17 +102,17 @@ void firmware_change_speed(struct firmware_memory *memory, real speed);
 void firmware_reset(struct layout_state *state, real reference);
 //: end
 
-//: if echoes
-/* Say what an actuator reports, before the firmware_step of a tick.
+//: if sensors
+/* Say what a further sensor reports, before the firmware_step of a tick.
  *
- * channel: 1 or 2
- * echo: the actuator's output, in the unit of its command
+ * sensor: 1 and 2: the output of actuator 1 or 2; 3: yaw rate; 4: lateral acceleration
+ * value: an output in the unit of its command, a yaw rate in rad/s, an acceleration in m/s^2
  * age: ticks since the sample; 64 and more are too old to count
  */
 //: if blends
-void firmware_hear(struct firmware_memory *memory, real channel, real echo, real age);
+void firmware_hear(struct firmware_memory *memory, real sensor, real value, real age);
 //: else
-void firmware_hear(struct layout_state *state, real channel, real echo, real age);
+void firmware_hear(struct layout_state *state, real sensor, real value, real age);
 //: end
 
 //: end

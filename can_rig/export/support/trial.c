@@ -3,7 +3,7 @@
  *
  *     'M', table, state   there is no answer
  *     'I'                 start up, from a state that is all zero; the state
- *     'E', channel, echo, age       there is no answer
+ *     'E', sensor, value, age       there is no answer
  *     'Z', reference      reset; the state
  *     'S', reference, measurement   step; the state
 //: if blends
@@ -21,7 +21,7 @@
 
 #include "bench.h"
 #include "controller.h"
-#include "echoes.h"
+#include "further_sensors.h"
 #include "layout.h"
 //: if blends
 #include "schedule.h"
@@ -50,7 +50,7 @@ static bool obey(uint8_t order)
         if (!load(inputs, sizeof inputs)) {
             return false;
         }
-        echoes_hear(&table, &state, inputs[0], inputs[1], inputs[2]);
+        further_sensors_hear(&table, &state, inputs[0], inputs[1], inputs[2]);
         return true;
     case 'I':
         memset(&state, 0, sizeof state);

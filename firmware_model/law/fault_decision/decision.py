@@ -29,6 +29,7 @@ from firmware_model.law.fault_decision.hypotheses.sensor_error import sensor_err
 from firmware_model.law.fault_decision.hypotheses.signatures import begin_all
 from firmware_model.law.fault_decision.hypotheses.verdict import (
     TORQUE_LOST,
+    clear_hypotheses,
     found_elsewhere,
     weigh_hypotheses,
 )
@@ -39,6 +40,7 @@ from firmware_model.law.fault_decision.likelihood_ratio import (
     update_test,
 )
 from firmware_model.law.fault_decision.loss_model import (
+    clear_loss_model,
     earlier_missing,
     earlier_shown,
     fading_output,
@@ -50,6 +52,11 @@ from firmware_model.law.fault_decision.loss_model import (
 )
 from firmware_model.law.fault_decision.mismatch import innovation, learn_loss, predict_mismatch
 from firmware_model.law.fault_decision.other_cars import show_other_cars
+from firmware_model.law.fault_decision.witness import (
+    acquits,
+    agrees_with_itself,
+    contradicts,
+)
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import Struct
@@ -114,7 +121,7 @@ def decide(
         return
     if is_acquitted(table, state):
         state.fault_state = CANNOT_TELL
-    elif test.evidence > needed_evidence(table, state):
+    elif test.evidence > needed_evidence(table, state) and not has_to_wait(table, state):
         confirm(table, state)
     elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
         state.fault_state = SUSPECTED
@@ -147,9 +154,24 @@ def needed_evidence(table: Table, state: layout.State) -> float:
     echo = state.echoes.channel_1
     if echo.believed == 1:  # the missing output is known already
         needed = constants.recover
-    elif test.of_takeover == 1 or says_lost(echo):
+    elif test.of_takeover == 1 or says_lost(table.echoes.actuator_1, echo):
         needed = constants.suspect
     return needed
+
+
+@firmware
+def has_to_wait(table: Table, state: layout.State) -> bool:
+    """Whether d̂ alone shows a loss, and the witness can tell soon.
+
+    The witness contradicts the sensor, or the echo denies the loss and the witness does not show
+    the loss yet.
+    """
+    own, echo = state.witness, state.echoes.channel_1
+    denied = echo.left > 0 and echo.believed == 0 and not says_lost(table.echoes.actuator_1, echo)
+    told = own.age < state.sequential_test.age and acquits(table.witness, own)
+    sound = own.left > 0 and agrees_with_itself(table.witness, own)
+    waits: bool = (sound and denied and not told) or contradicts(table.witness, own)
+    return waits
 
 
 @firmware
@@ -178,6 +200,26 @@ def recover(table: Table, state: layout.State) -> None:
     state.fault_state = CLEAR
     share = known_share(state)
     take_candidate(table, state, share, -real(1.0, share))
+
+
+@firmware
+def withdraw_loss(table: Table, state: layout.State) -> None:
+    """Nothing was lost: the compensation fades out."""
+    clear_loss_model(state)
+    transfer_to_losses(table, state)
+    state.fault_state = CLEAR
+    none = real(0.0, state.command_1)
+    learn_loss(state.mismatch, none, none)
+    set_aside(table, state)
+
+
+@firmware
+def set_aside(table: Table, state: layout.State) -> None:
+    """No d̂ up to now is evidence."""
+    start_candidate(table, state)
+    clear_hypotheses(state)
+    if state.fault_state == SUSPECTED:
+        state.fault_state = CLEAR
 
 
 @firmware

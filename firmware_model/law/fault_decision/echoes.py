@@ -17,7 +17,6 @@ Between two echoes e stays. An echo that stays away for long gives no informatio
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
@@ -26,7 +25,7 @@ from firmware_model.law.filters import biquad, whitener
 from firmware_model.law.filters.biquad import advance, output
 from firmware_model.law.filters.whitener import add_signal, settle_whitener, whiten
 from firmware_model.law.precision import real
-from firmware_model.law.structs import MAX_SECTIONS, FloatArray, RecordArray, Struct
+from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Struct
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
@@ -41,6 +40,7 @@ class Actuator(Struct):
 
     stage: Annotated[whitener.Constants, "1", "from its command to its output"]
     dead_ticks: Annotated[int, "tick", "its dead time"]
+    least: Annotated[float, "command²", "fading sum of outputs that noise may hide"]
     lead: Annotated[float, "1", "change of v over change of e; 1 for v = e"]
 
 
@@ -81,30 +81,9 @@ class State(Struct):
 
 
 @firmware
-def hear(table: Table, state: layout.State, channel: float, echo: float, age_ticks: float) -> None:
-    """Take in an echo, before the ``step`` of its tick.
-
-    Args:
-        table: the constant table.
-        state: changed in place.
-        channel: 1 or 2.
-        echo: the output of the actuator, in the unit of its command.
-        age_ticks: ticks since the sample of the echo; below ``KEPT_TICKS``, or the echo is ignored.
-    """
-    value = real(echo, state.command_1)
-    age = real(age_ticks, value)
-    if not (math.isfinite(value) and age >= 0.0 and age < real(KEPT_TICKS, value)):
-        return
-    index = (state.echoes.index + KEPT_TICKS - int(age)) % KEPT_TICKS
-    if channel == 1.0:
-        take_echo(table.echoes, state.echoes.channel_1, index, value)
-    elif channel == 2.0:
-        take_echo(table.echoes, state.echoes.channel_2, index, value)
-
-
-@firmware
-def take_echo(constants: Constants, own: Echo, index: int, echo: float) -> None:
-    """Compare an echo with the output at ``index`` of the ring."""
+def take_echo(constants: Constants, state: State, own: Echo, echo: float, age: float) -> None:
+    """Compare an echo with the modelled output at the time of its sample."""
+    index = (state.index + KEPT_TICKS - int(age)) % KEPT_TICKS
     modelled, half = own.outputs[index], real(0.5, echo)
     error = modelled - echo
     own.error = error
@@ -116,14 +95,6 @@ def take_echo(constants: Constants, own: Echo, index: int, echo: float) -> None:
     own.good = own.good + 1 if healthy else 0
     if works(own, constants.working):
         own.believed = 0
-
-
-@firmware
-def hear_first(
-    tables: RecordArray, states: RecordArray, channel: float, echo: float, age_ticks: float
-) -> None:
-    """``hear`` for the first of the controllers; see ``controller.step_first``."""
-    hear(tables[0], states[0], channel, echo, age_ticks)
 
 
 @firmware
@@ -213,10 +184,11 @@ def believe(
 
 
 @firmware
-def says_lost(own: Echo) -> bool:
-    """Whether the last echoes miss a quarter of the actuator's output."""
+def says_lost(constants: Actuator, own: Echo) -> bool:
+    """Whether the last echoes miss a quarter of the actuator's output, more than noise hides."""
     quarter = real(0.25, own.power)
-    lost: bool = own.left > 0 and own.missing > quarter * own.power
+    shows = own.left > 0 and own.power > constants.least
+    lost: bool = shows and own.missing > quarter * own.power
     return lost
 
 

@@ -2,7 +2,7 @@
 
 C is internal model control, u1 = Q (r - y + G1 u1). With the prediction G1 u1 + G2 u2 in place of y
 (minus the known loss), C is the feedforward Q r. The prediction carries the slow part of the
-difference y - prediction, as last seen.
+difference y - prediction, as last seen by the sensor, or as seen by the witness.
 
 C never sees a jump between measurement and prediction: the difference of the two fades. The fault
 estimate gets the measurement at once.
@@ -70,6 +70,19 @@ def stand_in(constants: Constants, own: State, expected: float) -> float:
     own.fading = constants.fading * own.fading
     measurement: float = expected + own.difference
     return measurement
+
+
+@firmware
+def turn_to_witness(own: State, difference: float) -> None:
+    """The sensor is denied: C gets the witness at once, without a fade from wrong numbers."""
+    own.difference, own.fading = difference, real(0.0, difference)
+    own.elapsed = max(own.elapsed, real(1.0, difference))
+
+
+@firmware
+def follow_witness(constants: Constants, own: State, difference: float) -> None:
+    """The witness last said so of y - prediction."""
+    own.difference = difference + constants.fading * (own.difference - difference)
 
 
 @firmware

@@ -16,7 +16,7 @@ from firmware_model.analysis.world_loop import run_changing
 from firmware_model.design.actuator_dynamics import IDEAL
 from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.discretisation.tables import build
-from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.targets import Reporting, Target
 from firmware_model.firmware import Firmware
 from firmware_model.law.controller import init
 from firmware_model.law.takeover import UNKNOWN
@@ -332,7 +332,7 @@ class Echoes:
     def __init__(self) -> None:
         self.tick, self.restarts = 0, 0
 
-    def echoes(self) -> list[tuple[int, float, float]]:
+    def samples(self) -> list[tuple[int, float, float]]:
         self.tick += 1
         return echoes_at(self.tick - 1)
 
@@ -346,7 +346,7 @@ def echoes_at(k: int) -> list[tuple[int, float, float]]:
 
 @pytest.mark.parametrize("plant", [sample(CAR, TICK_S), Recorded()])
 def test_the_law_hears_the_echoes_of_each_tick(plant: Any) -> None:
-    target = Target(TICK_S, 1, "zoh", echoes=(IDEAL, IDEAL), noise_rms=0.01)
+    target = Target(TICK_S, 1, "zoh", echoes=(Reporting(IDEAL), Reporting(IDEAL)), noise_rms=0.01)
     table, hears = build(SLOW, target), Echoes()
     loop = Simulation(
         table, plant, REFERENCE, tick_s=TICK_S, hears=hears, restarts=[(15, 20, False)]

@@ -160,7 +160,7 @@ def test_a_biased_sensor_is_no_loss() -> None:
     trace = simulate(build(DESIGN, target), PLANT, np.ones(1200), bias=bias)
     assert trace.fault_estimate[LOST] == pytest.approx(0.1, abs=1e-9)
     assert trace.verdict[LOST - 1] == Verdict.NOTHING
-    assert (trace.verdict[LOST:] == Verdict.SENSOR_BIASED).all()
+    assert (trace.verdict[LOST:] == Verdict.SENSOR_WRONG).all()
     assert CONFIRMED not in trace.fault_state
 
 
@@ -170,7 +170,7 @@ def test_a_bias_that_no_command_explains_is_no_loss(value: float) -> None:
     firmware = Firmware(build(FAST, confirming(0)))
     answer = firmware.step(0.0, value)
     assert answer.fault_state == CLEAR
-    assert answer.verdict == Verdict.SENSOR_BIASED
+    assert answer.verdict == Verdict.SENSOR_WRONG
     assert answer.fault_estimate == -value
     assert answer.command_2 == 0.0
 

@@ -12,11 +12,12 @@ from scipy import signal
 from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
-from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.targets import Reporting, Target
 from firmware_model.firmware import Answer, Firmware
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.echoes import KEPT_TICKS, hear
+from firmware_model.law.fault_decision.echoes import KEPT_TICKS
 from firmware_model.law.fault_decision.hypotheses.verdict import standing
+from firmware_model.law.further_sensors import hear
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray
 from tests.firmware.law.cases import CAR, TICK_S
@@ -30,8 +31,9 @@ def table_of(
     actuators: tuple[Stage, Stage] = LAGS, latency: int = 1, echoes: bool = True, **changes: Any
 ) -> Any:
     plant = behind(CAR, *actuators, IDEAL)
+    reporting = Reporting(actuators[0]), Reporting(actuators[1])
     known = {"on_confirmation": True, "noise_rms": RMS, **changes}
-    target = Target(TICK_S, latency, "zoh", echoes=actuators if echoes else None, **known)
+    target = Target(TICK_S, latency, "zoh", echoes=reporting if echoes else None, **known)
     return build(
         design(plant, DesignSpecification(tau_s=0.002, alpha=4, tau_q_s=0.015, alpha_q=4)), target
     )

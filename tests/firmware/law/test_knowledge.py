@@ -127,10 +127,10 @@ def test_a_known_error_of_the_sensor_stays_known() -> None:
     loop = Loop()
     loop.run(500)
     loop.bias = 0.2
-    assert loop.run(1500)[-1].verdict == Verdict.SENSOR_BIASED
+    assert loop.run(1500)[-1].verdict == Verdict.SENSOR_WRONG
     loop.restart(remembers=True)
     answers = loop.run(3000)
-    assert {answer.verdict for answer in answers} == {Verdict.SENSOR_BIASED}
+    assert {answer.verdict for answer in answers} == {Verdict.SENSOR_WRONG}
     assert FaultState.CONFIRMED not in {answer.fault_state for answer in answers}
     loop.bias = 0.0
     assert Verdict.NOTHING in {answer.verdict for answer in loop.run(2000)}

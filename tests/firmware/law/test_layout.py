@@ -12,7 +12,7 @@ import pytest
 from firmware_model.law.layout import State, Table, precision_of, state_type, table_type
 from firmware_model.law.structs import Field, Struct, fields_of
 
-UNITS = {"1", "tick", "y", "u1", "u2", "command", "output", "input"}
+UNITS = {"1", "tick", "y", "u1", "u2", "command", "output", "input", "m", "s", "rad"}
 TYPES = {"table": (Table, table_type), "state": (State, state_type)}
 PRECISIONS = {"float32": ctypes.c_float, "float64": ctypes.c_double}
 

@@ -13,6 +13,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.fault_decision.hypotheses.verdict import clear_hypotheses
 from firmware_model.law.fault_decision.likelihood_ratio import start_candidate
+from firmware_model.law.fault_decision.witness import settle_witness
 from firmware_model.law.layout import State
 from firmware_model.law.overflow import clear_memories
 from firmware_model.law.status import FaultState, Mode
@@ -120,6 +121,7 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation: b
     known.covariance.variances[:] = [0.0, 0.0, 0.36, 0.36, 0.36, 0.36, 0.0]
     for name in ("difference", "fading", "elapsed"):
         expected.prediction[name] = 0.0
+    settle_witness(expected.witness, 0.0)
     start_candidate(table, expected)
     clear_hypotheses(expected)
     end_takeover(expected.takeover)

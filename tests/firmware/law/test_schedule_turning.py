@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from firmware_model.discretisation.targets import Reporting
 from firmware_model.law.layout import table_type
 from firmware_model.law.schedule import MAX_SPEEDS, Constants, blend, place_of, turn_models
 from firmware_model.law.structs import fields_of, record_type
 from tests.firmware.scheduled import LAGS, SPEEDS, TARGET, Blended, scheduled
 
-OF = scheduled(target=replace(TARGET, echoes=LAGS[:2]), cars=1)
+OF = scheduled(target=replace(TARGET, echoes=tuple(map(Reporting, LAGS[:2]))), cars=1)
 ONES = (  # whatever follows G1, and whatever follows G2
     (
         lambda s: s.estimator.channel_1,

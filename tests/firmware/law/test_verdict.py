@@ -59,7 +59,7 @@ def judged(state: Any, **evidence: float) -> Verdict:
         ({"offset": 26.0, "biased": 12.9}, "TORQUE_OFFSET"),
         ({"force": 30.0, "lost": 14.0}, "FORCE_LOST"),
         ({"force": 30.0, "lost": 16.0}, "CANNOT_BE_TOLD"),
-        ({"biased": 30.0, "drifting": 30.0}, "SENSOR_BIASED"),
+        ({"biased": 30.0, "drifting": 30.0}, "SENSOR_WRONG"),
         ({"biased": 30.0, "drifting": 31.0}, "SENSOR_DRIFTING"),
         ({"frozen": 50.0, "biased": 40.0, "force": 16.0}, "SENSOR_FROZEN"),
         ({"frozen": 50.0, "biased": 40.0, "force": 17.0}, "CANNOT_BE_TOLD"),
@@ -95,7 +95,7 @@ def test_of_the_other_faults_all_evidence_counts() -> None:
         ("TORQUE_LOST", False),
         ("TORQUE_OFFSET", True),
         ("FORCE_LOST", True),
-        ("SENSOR_BIASED", True),
+        ("SENSOR_WRONG", True),
         ("SENSOR_DRIFTING", True),
         ("ANOTHER_CAR", False),
         ("BOTH_LOST", False),
@@ -162,16 +162,17 @@ def test_the_opposite_at_the_same_place_is_the_end_of_a_fault(
     first: tuple[str, float], then: tuple[str, float], gone: bool
 ) -> None:
     short = {"sensor_biased": "biased", "sensor_drifting": "drifting", "torque_offset": "offset"}
+    named = Verdict[then[0].replace("biased", "wrong").upper()]
     state = state_of()
     for name, size in (first, then):
         candidate = state.hypotheses.signatures[name].candidate
         candidate["size_now"], state.hypotheses.signatures.ramp = size, -1.0
         verdict = judged(state, **{short[name]: 30.0})
         assert not candidate["size_now"]  # its onset is yet to come
-    assert verdict == (Verdict.NOTHING if gone else Verdict[then[0].upper()])
+    assert verdict == (Verdict.NOTHING if gone else named)
     if gone:  # and the next one is another
         state.hypotheses.signatures[then[0]].candidate["size_now"] = then[1]
-        assert judged(state, **{short[then[0]]: 30.0}) == Verdict[then[0].upper()]
+        assert judged(state, **{short[then[0]]: 30.0}) == named
 
 
 def silent(state: Any, missing: float = 0.51) -> Any:
@@ -186,7 +187,7 @@ def test_both_are_lost_only_where_y_follows_less_than_half_of_channel_2() -> Non
         assert judged(state, lost=900.0, force=101.0) == verdict
 
 
-@pytest.mark.parametrize(("jump", "verdict"), [(5.0, "SENSOR_BIASED"), (4.9, "CANNOT_BE_TOLD")])
+@pytest.mark.parametrize(("jump", "verdict"), [(5.0, "SENSOR_WRONG"), (4.9, "CANNOT_BE_TOLD")])
 def test_a_bias_begins_with_a_jump(jump: float, verdict: str) -> None:
     state = state_of()
     state.hypotheses.signatures.jump = jump
@@ -207,7 +208,7 @@ def test_of_another_fault_no_jump_is_asked() -> None:
     [
         ("NOTHING", {"lost": 20.1}, "TORQUE_LOST"),
         ("NOTHING", {"lost": 20.0}, "CANNOT_BE_TOLD"),
-        ("SENSOR_BIASED", {"lost": 30.0}, "TORQUE_LOST"),
+        ("SENSOR_WRONG", {"lost": 30.0}, "TORQUE_LOST"),
         ("TORQUE_LOST", {"lost": 30.0, "biased": 90.0}, "TORQUE_LOST"),
         ("TORQUE_LOST", {"lost": 900.0, "force": 100.1}, "BOTH_LOST"),
         ("TORQUE_LOST", {"lost": 900.0, "force": 190.0, "drifting": 90.0}, "TORQUE_LOST"),

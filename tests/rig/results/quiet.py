@@ -14,7 +14,7 @@ Run = Callable[..., tuple[Scenario, Signals]]
 COLUMNS = [
     name
     for name in Signals.__dataclass_fields__
-    if name not in ("plant", "sensors", "whose_fault", "echo_ages")
+    if name not in ("plant", "sensors", "whose_fault", "sample_ages")
 ]
 """The fields with a number for each tick."""
 

@@ -102,7 +102,7 @@ def test_a_log_without_reports_of_the_plant_has_no_true_deviation() -> None:
     ("codes", "settings", "verdict", "right", "wrong"),
     [
         ([0, 1, 1, 4], [], "TORQUE_LOST", True, False),
-        ([0, 1, 4, 4], [], "SENSOR_BIASED", False, True),
+        ([0, 1, 4, 4], [], "SENSOR_WRONG", False, True),
         ([7, 7, 7, 9], [], "CANNOT_BE_TOLD", False, False),
         ([7, 7, 7, 0], [], "NOTHING", False, False),
         ([0, 8, 8, 0], [], "BOTH_LOST", False, True),
@@ -126,7 +126,7 @@ def test_a_verdict_from_before_the_fault_does_not_count() -> None:
     codes = np.array([1.0, 1.0, 1.0, 4.0, 0.0, 0.0])
     signals = replace(signals_without_log(scenario), verdict=codes)
     values = harm_metrics(scenario, signals, torque_lost(scenario, signals))
-    assert values["verdict"] == "SENSOR_BIASED"
+    assert values["verdict"] == "SENSOR_WRONG"
 
 
 def test_the_verdicts_of_several_faults_count_from_the_first() -> None:

@@ -124,7 +124,7 @@ def test_a_verdict_on_another_place_finds_nothing() -> None:
     """The torque is lost; its confirmation counts from the tick that names no other place."""
     scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0"])
     for verdict, delay_s in (
-        (Verdict.FORCE_LOST, 0.3), (Verdict.SENSOR_BIASED, 0.3), (Verdict.SENSOR_DRIFTING, 0.3),
+        (Verdict.FORCE_LOST, 0.3), (Verdict.SENSOR_WRONG, 0.3), (Verdict.SENSOR_DRIFTING, 0.3),
         (Verdict.SENSOR_FROZEN, 0.3), (Verdict.TORQUE_LOST, 0.1), (Verdict.BOTH_LOST, 0.1),
         (Verdict.CANNOT_BE_TOLD, 0.1),
     ):  # fmt: skip
@@ -142,7 +142,7 @@ def test_a_lost_force_difference_is_found_by_its_own_verdict_alone() -> None:
     force = np.full(scenario.ticks, 500.0)
     for verdict, delay_s in (
         (Verdict.FORCE_LOST, 0.1), (Verdict.BOTH_LOST, 0.1), (Verdict.TORQUE_LOST, None),
-        (Verdict.SENSOR_BIASED, None), (Verdict.CANNOT_BE_TOLD, None), (None, None),
+        (Verdict.SENSOR_WRONG, None), (Verdict.CANNOT_BE_TOLD, None), (None, None),
     ):  # fmt: skip
         verdicts = None if verdict is None else states(scenario, (1100, verdict))
         signals = acting(scenario, (1100, CONFIRMED), force_difference_n=force, verdict=verdicts)

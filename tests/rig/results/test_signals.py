@@ -242,7 +242,7 @@ SAID = {
     "evidence_torque_lost": "evidence_reflux_lost",
     "evidence_torque_offset": "evidence_reflux_offset",
     "evidence_force_lost": "evidence_boil_up_lost",
-    "evidence_sensor_biased": "evidence_sensor_biased",
+    "evidence_sensor_wrong": "evidence_sensor_wrong",
     "evidence_sensor_drifting": "evidence_sensor_drifting",
     "evidence_sensor_frozen": "evidence_sensor_frozen",
     "evidence_another_car": "evidence_another_car",

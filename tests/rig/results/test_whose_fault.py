@@ -28,7 +28,7 @@ from firmware_model.law.status import FaultState, Mode, Verdict
 LANE_CHANGE = ["reference.kind=lane-change", "reference.frequency_rad_per_s=1.34", "duration_s=5"]
 BOTH_LOST = ["fault.0.kind=actuator-dead", "fault.0.at_s=3.5", "fault.1.kind=actuator-dead",
              "fault.1.channel=force-difference", "fault.1.at_s=4.4"]  # fmt: skip
-SENSOR = (Verdict.SENSOR_BIASED, Verdict.SENSOR_DRIFTING, Verdict.SENSOR_FROZEN)
+SENSOR = (Verdict.SENSOR_WRONG, Verdict.SENSOR_DRIFTING, Verdict.SENSOR_FROZEN)
 
 
 def run(name: str, changes: Sequence[str]) -> tuple[Scenario, Signals]:
@@ -45,8 +45,8 @@ def verdicts(signals: Signals, begin_s: float = 0.0, end_s: float = 99.0) -> set
 @pytest.mark.parametrize(
     ("fault", "within_s", "verdict"),
     [
-        (["kind=sensor-biased", "bias_mps2=0.1"], 0.002, Verdict.SENSOR_BIASED),
-        (["kind=sensor-biased", "bias_mps2=-0.1"], 0.002, Verdict.SENSOR_BIASED),
+        (["kind=sensor-biased", "bias_mps2=0.1"], 0.002, Verdict.SENSOR_WRONG),
+        (["kind=sensor-biased", "bias_mps2=-0.1"], 0.002, Verdict.SENSOR_WRONG),
         (["kind=sensor-stuck"], 0.02, Verdict.SENSOR_FROZEN),
         (["kind=actuator-dead"], 0.12, Verdict.TORQUE_LOST),
         (["kind=actuator-dead", "left=0.5"], 0.2, Verdict.TORQUE_LOST),
@@ -217,7 +217,7 @@ def test_the_status_frame_says_the_verdict(tmp_path: Path) -> None:
     assert heard.verdict is not None
     again = with_verdict(scenario, network, replace(heard, verdict=None))
     assert heard.verdict.tolist() == again.whose_fault[VERDICT].tolist()
-    assert heard.verdict[-1] == Verdict.SENSOR_BIASED
+    assert heard.verdict[-1] == Verdict.SENSOR_WRONG
     heard.verdict[:] = Verdict.FORCE_LOST
     assert verdicts(with_verdict(scenario, network, heard)) == {Verdict.FORCE_LOST}
 

@@ -48,6 +48,7 @@ from firmware_model.law.fault_decision.hypotheses.signatures import (
     weigh_signatures,
 )
 from firmware_model.law.fault_decision.loss_model import known_share
+from firmware_model.law.fault_decision.witness import acquits, contradicts
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray, Struct
@@ -61,7 +62,7 @@ CONFIRMED = int(FaultState.CONFIRMED)
 NOTHING, CANNOT_BE_TOLD = int(Verdict.NOTHING), int(Verdict.CANNOT_BE_TOLD)
 TORQUE_LOST, TORQUE_OFFSET = int(Verdict.TORQUE_LOST), int(Verdict.TORQUE_OFFSET)
 FORCE_LOST, BOTH_LOST = int(Verdict.FORCE_LOST), int(Verdict.BOTH_LOST)
-SENSOR_BIASED, SENSOR_DRIFTING = int(Verdict.SENSOR_BIASED), int(Verdict.SENSOR_DRIFTING)
+SENSOR_WRONG, SENSOR_DRIFTING = int(Verdict.SENSOR_WRONG), int(Verdict.SENSOR_DRIFTING)
 SENSOR_FROZEN, ANOTHER_CAR = int(Verdict.SENSOR_FROZEN), int(Verdict.ANOTHER_CAR)
 HYPOTHESES = 8  # NOTHING (evidence 0), the faults, ANOTHER_CAR
 
@@ -117,7 +118,7 @@ def weigh_hypotheses(table: Table, state: layout.State, innovation: float, expec
         own.evidence[TORQUE_OFFSET] = weighed.torque_echo.candidate.evidence
     if state.echoes.channel_2.left > 0:
         own.evidence[FORCE_LOST] = weighed.force_echo.candidate.evidence
-    own.evidence[SENSOR_BIASED] = own.signatures.sensor_biased.candidate.evidence
+    own.evidence[SENSOR_WRONG] = own.signatures.sensor_biased.candidate.evidence
     own.evidence[SENSOR_DRIFTING] = own.signatures.sensor_drifting.candidate.evidence
     own.evidence[SENSOR_FROZEN] = own.frozen.evidence
     own.evidence[ANOTHER_CAR] = other_car_evidence(table, state)
@@ -160,7 +161,10 @@ def judge(table: Table, state: layout.State) -> None:
     torque = strongest(evidence, TORQUE_LOST, FORCE_LOST)
     if lost:  # what is tested is its end
         torque = max(state.sequential_test.evidence, evidence[TORQUE_OFFSET])
-    force, sensor = evidence[FORCE_LOST], strongest(evidence, SENSOR_BIASED, ANOTHER_CAR)
+    force, sensor = evidence[FORCE_LOST], strongest(evidence, SENSOR_WRONG, ANOTHER_CAR)
+    if acquits(table.witness, state.witness):
+        sensor = real(0.0, sensor)
+    apart = contradicts(table.witness, state.witness)
     actuators = max(torque, force)
     most = max(actuators, sensor)
     second = max(min(torque, force), min(actuators, sensor))
@@ -172,30 +176,30 @@ def judge(table: Table, state: layout.State) -> None:
         row, echo = own.signatures.force_echo, state.echoes.channel_2
         find_by_echo(table, state, row, echo, FORCE_LOST)
     elif is_reported(own.signatures.torque_echo, confirm, most) and not says_lost(
-        state.echoes.channel_1
+        table.echoes.actuator_1, state.echoes.channel_1
     ):
         find_by_echo(
             table, state, own.signatures.torque_echo, state.echoes.channel_1, TORQUE_OFFSET
         )
-    elif most > confirm and is_clear(table, state, most, second):
+    elif most > confirm and is_clear(table, state, most, second) and not apart:
         find(table, state, likeliest_fault(evidence, most))
     elif own.verdict == NOTHING and most > confirm:
         own.verdict = CANNOT_BE_TOLD
     elif own.verdict == NOTHING:
         enough = table.decision.suspect if was == ANOTHER_CAR else confirm
         own.verdict = ANOTHER_CAR if evidence[ANOTHER_CAR] > enough else NOTHING
-    own.verdict = with_echoes(state, own.verdict)
+    own.verdict = with_echoes(table, state, own.verdict)
 
 
 @firmware
-def with_echoes(state: layout.State, verdict: int) -> int:
+def with_echoes(table: Table, state: layout.State, verdict: int) -> int:
     """The verdict of a tick, where a believed echo names the place."""
     torque, force = state.echoes.channel_1, state.echoes.channel_2
     if state.fault_state == CONFIRMED:
-        gone = force.believed == 1 and says_lost(force)
+        gone = force.believed == 1 and says_lost(table.echoes.actuator_2, force)
         verdict = BOTH_LOST if gone else verdict
     elif torque.believed == 1:
-        verdict = TORQUE_LOST if says_lost(torque) else TORQUE_OFFSET
+        verdict = TORQUE_LOST if says_lost(table.echoes.actuator_1, torque) else TORQUE_OFFSET
     elif force.believed == 1:
         verdict = FORCE_LOST
     return verdict
@@ -210,10 +214,10 @@ def is_clear(table: Table, state: layout.State, most: float, second: float) -> b
     d̂, and an earlier d̂ gives no present evidence.
     """
     own, constants = state.hypotheses, table.hypotheses
-    if own.evidence[SENSOR_BIASED] == most and own.signatures.jump < constants.jump:
+    if own.evidence[SENSOR_WRONG] == most and own.signatures.jump < constants.jump:
         return False
     ahead: float = constants.ahead
-    if strongest(own.evidence, SENSOR_BIASED, ANOTHER_CAR) == most:
+    if strongest(own.evidence, SENSOR_WRONG, ANOTHER_CAR) == most:
         ahead = constants.sensor_ahead
     if own.evidence[FORCE_LOST] == most:
         most = most - own.signatures.before
@@ -296,7 +300,7 @@ def find(table: Table, state: layout.State, fault: int) -> None:
     """
     own, weighed = state.hypotheses, state.hypotheses.signatures
     size = size_of(weighed, fault)
-    if fault == SENSOR_BIASED:
+    if fault == SENSOR_WRONG:
         gone = learn_sensor_error(table, state, weighed.sensor_biased, real(-1.0, size))
     elif fault == SENSOR_DRIFTING:
         gone = learn_sensor_error(table, state, weighed.sensor_drifting, weighed.ramp)
@@ -315,7 +319,7 @@ def place_of(fault: int) -> int:
     """The first fault of the place where ``fault`` is: torque, force difference or sensor."""
     if fault < FORCE_LOST:
         return TORQUE_LOST
-    return min(fault, SENSOR_BIASED)
+    return min(fault, SENSOR_WRONG)
 
 
 @firmware

@@ -1,0 +1,290 @@
+"""D* made of yaw rate and lateral acceleration: sensor, witness and model, two against one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_model.design.actuator_dynamics import IDEAL, behind
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Reporting, Target, Witness
+from firmware_model.firmware import Answer, Firmware
+from firmware_model.law.fault_decision.echoes import KEPT_TICKS
+from firmware_model.law.status import FaultState, Mode, Verdict
+from tests.firmware.law.cases import CAR, TICK_S
+from tests.firmware.law.test_echoes import LAGS, Car, dead, honest, lying, working
+from tests.firmware.scheduled import SPEEDS, Blended, scheduled
+from tests.firmware.scheduled import TARGET as SCHEDULED
+
+WEIGHT, SPEED_MPS, RMS, PERIOD = 0.3, 12.0, 0.005, 5
+WITNESS = Witness(WEIGHT, SPEED_MPS, noise_rms=RMS)
+FAULT, END = 150, 900
+
+Error = Callable[[float, int], float]
+"""From D* and the ticks since FAULT to what a sensor says."""
+
+
+def table_of(witness: Witness | None = WITNESS, echoes: bool = False, **changes: Any) -> Any:
+    known = {"on_confirmation": True, "noise_rms": RMS, **changes}
+    reporting = Reporting(LAGS[0]), Reporting(LAGS[1])
+    target = Target(
+        TICK_S, 1, "zoh", echoes=reporting if echoes else None, witness=witness, **known
+    )
+    plant = behind(CAR, *LAGS, IDEAL)
+    return build(
+        design(plant, DesignSpecification(tau_s=0.002, alpha=4, tau_q_s=0.015, alpha_q=4)), target
+    )
+
+
+def right(y: float, _k: int) -> float:
+    return y
+
+
+def missing(_y: float, _k: int) -> float:
+    return math.nan
+
+
+def off(y: float, _k: int) -> float:
+    return y + 0.8
+
+
+def swinging(y: float, k: int) -> float:
+    return y + 0.5 * math.sin(0.05 * k)
+
+
+def nothing(_y: float, _k: int) -> float:
+    return 0.0
+
+
+@dataclass
+class Driven:
+    """What came of a drive: answers and D* by tick."""
+
+    answers: list[Answer]
+    y: list[float]
+
+    @property
+    def states(self) -> list[int]:
+        return [answer.fault_state for answer in self.answers]
+
+    @property
+    def verdicts(self) -> list[int]:
+        return [answer.verdict for answer in self.answers]
+
+    def off(self, other: Driven) -> float:
+        """Largest distance of both D*."""
+        return float(np.abs(np.array(self.y) - np.array(other.y)).max())
+
+
+def drive(
+    table: Any,
+    sensor: Error = right,
+    hears: Error | None = right,
+    acts: Any = working,
+    echoes: Any = None,
+    *,
+    wanted: Callable[[int], float] = lambda k: math.sin(0.01 * k),
+    until: int = END,
+    push: float = 0.0,
+    age: tuple[int, int] = (0, 0),
+) -> Driven:
+    """A drive in which sensor, witness and actuators err from FAULT on.
+
+    ``hears``: what the witness says, every PERIOD ticks; None: no witness. ``until``: the sensor
+    errs for so long. ``push``: a torque that nobody reports. ``age``: of the witness, and as told.
+    """
+    firmware, car, driven = Firmware(table), Car(), Driven([], [])
+    noise = np.random.default_rng(7).normal(0.0, RMS, (3, END))
+    for k in range(END):
+        late, y = k - FAULT, car.y
+        if hears is not None and k % PERIOD == 0:
+            then = [*driven.y, y][max(k - age[0], 0)]
+            said = hears(then, late) if late >= 0 else then
+            firmware.hear(3, (said + noise[1, k]) / SPEED_MPS, age[1])
+            firmware.hear(4, said + noise[2, k], age[1])
+        if echoes is not None and k % PERIOD == 0:
+            for channel, echo in enumerate(echoes(car.outputs, car.commands, k), 1):
+                firmware.hear(channel, echo)
+        measured = sensor(y, late) if 0 <= late < until - FAULT else y
+        answer = firmware.step(wanted(k), measured + noise[0, k])
+        torque, force = acts(*car.commands, late) if late >= 0 else car.commands
+        car.go_on(torque + (push if late >= 0 else 0.0), force)
+        car.commands = (answer.command_1, answer.command_2)
+        driven.answers.append(answer)
+        driven.y.append(car.y)
+    return driven
+
+
+HEALTHY = drive(table_of(None), hears=None)
+
+
+def commands(driven: Driven) -> list[tuple[float, float]]:
+    return [(answer.command_1, answer.command_2) for answer in driven.answers]
+
+
+@pytest.mark.parametrize("hears", [right, off, swinging, nothing, None])
+def test_a_witness_of_a_healthy_car_changes_no_command_right_or_wrong(hears: Error | None) -> None:
+    assert commands(drive(table_of(), hears=hears)) == commands(HEALTHY)
+
+
+@pytest.mark.parametrize("sensor", [off, swinging, nothing, missing])
+def test_the_witness_stands_in_for_a_wrong_sensor(sensor: Error) -> None:
+    heard, alone = drive(table_of(), sensor), drive(table_of(None), sensor, hears=None)
+    assert FaultState.CONFIRMED not in heard.states
+    assert heard.off(HEALTHY) < 0.4
+    if sensor is not missing:
+        assert heard.off(HEALTHY) < 0.3 * alone.off(HEALTHY)
+        denied = heard.verdicts.index(Verdict.SENSOR_WRONG)
+        assert 0 <= denied - FAULT < 60
+        assert set(heard.verdicts[denied + PERIOD :]) == {Verdict.SENSOR_WRONG}
+        assert {answer.mode for answer in heard.answers[denied + PERIOD :]} == {Mode.BLIND}
+
+
+def test_a_loss_is_confirmed_with_a_witness_as_soon_as_without() -> None:
+    alone = drive(table_of(None), hears=None, acts=dead)
+    heard = drive(table_of(), acts=dead)
+    assert heard.states.index(FaultState.CONFIRMED) == alone.states.index(FaultState.CONFIRMED)
+    assert heard.off(HEALTHY) <= alone.off(HEALTHY)
+    assert Verdict.TORQUE_LOST in heard.verdicts
+    assert Verdict.SENSOR_WRONG not in heard.verdicts
+
+
+def test_a_lost_torque_whose_echo_lies_is_confirmed_once_the_witness_shows_the_loss() -> None:
+    honestly, against = (
+        drive(table_of(echoes=True), acts=dead, echoes=says).states.index(FaultState.CONFIRMED)
+        for says in (honest, lying)
+    )
+    assert FAULT < honestly < against < FAULT + 80
+
+
+def as_if_lost(y: float, k: int) -> float:
+    """What a car without torque would do, at first."""
+    return y - 8.0 * (TICK_S * k) ** 2
+
+
+def test_a_sensor_that_pretends_a_loss_deceives_only_until_the_witness_refutes() -> None:
+    pretended = drive(table_of(), as_if_lost, until=FAULT + 300)
+    begun = pretended.states.index(FaultState.CONFIRMED)
+    ended = begun + pretended.states[begun:].index(FaultState.CLEAR)
+    assert ended - begun < 60
+    assert FaultState.CONFIRMED not in pretended.states[ended:]
+    late = max(abs(answer.command_2) for answer in pretended.answers[-20:])
+    assert late < 0.02 * max(abs(answer.command_2) for answer in pretended.answers)
+    assert pretended.off(HEALTHY) < 0.4
+
+
+def test_the_echo_of_a_working_motor_keeps_a_pretended_loss_from_being_confirmed() -> None:
+    pretended = drive(table_of(echoes=True), as_if_lost, echoes=honest)
+    assert FaultState.CONFIRMED not in pretended.states
+    assert Verdict.SENSOR_WRONG in pretended.verdicts
+
+
+def test_without_a_sensor_the_witness_shows_what_the_model_does_not_know() -> None:
+    held = {"wanted": lambda k: 0.0, "push": 10.0}
+    heard = drive(table_of(), missing, **held)
+    blind = drive(table_of(None), missing, hears=None, **held)
+    seen = drive(table_of(None), hears=None, **held)
+    assert abs(heard.y[-1] - seen.y[-1]) < 0.1 * abs(blind.y[-1] - seen.y[-1])
+
+
+@pytest.mark.parametrize(("hears", "last"), [(right, Mode.BLIND), (None, Mode.SAFE_STOP)])
+def test_a_blind_controller_stops_unless_a_witness_comes(hears: Error | None, last: Mode) -> None:
+    driven = drive(table_of(blind_s=0.1), missing, hears)
+    assert driven.answers[-1].mode == last
+
+
+def falls_silent(y: float, k: int) -> float:
+    return y if k < 100 else math.nan  # 100 ms later the witness counts for nothing
+
+
+def test_a_denied_sensor_stays_denied_when_the_witness_falls_silent() -> None:
+    driven = drive(table_of(blind_s=0.02), off, falls_silent)
+    assert driven.answers[-1].mode == Mode.SAFE_STOP
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_sensor_that_works_again_is_believed_once_the_car_has_moved(moves: bool) -> None:
+    def wanted(k: int) -> float:
+        return math.sin(0.01 * k) if moves or k < FAULT + 60 else 0.0
+
+    table = table_of().copy()
+    table.witness.working = 40
+    driven = drive(table, off, wanted=wanted, until=FAULT + 60)
+    assert Verdict.SENSOR_WRONG in driven.verdicts
+    assert (driven.answers[-1].mode == Mode.RUN) is moves
+    assert (driven.verdicts[-1] == Verdict.SENSOR_WRONG) is not moves
+
+
+def test_an_unknown_speed_is_no_fault() -> None:
+    def faster(y: float, k: int) -> float:
+        return y * (1.0 + 0.2 * (1.0 - WEIGHT))
+
+    strict = Witness(WEIGHT, SPEED_MPS, noise_rms=0.01 * RMS)
+    table = table_of(strict)
+    apart = Firmware(table)
+    assert apart.hypotheses["verdict"] == Verdict.NOTHING
+    doubtful = table_of(Witness(WEIGHT, SPEED_MPS, noise_rms=RMS, doubt=0.2))
+    driven = drive(doubtful, hears=faster, sensor=right, acts=dead)
+    sure = drive(table_of(), acts=dead)
+    assert driven.states == sure.states
+
+
+@pytest.mark.parametrize(
+    "sample",
+    [(3, math.nan, 0.0), (3, 1.0, math.nan), (3, 1.0, -1.0), (3, 1.0, KEPT_TICKS), (5, 1.0, 0.0)],
+)
+def test_what_is_no_sample_is_not_heard(sample: tuple[int, float, float]) -> None:
+    firmware, other = Firmware(table_of()), Firmware(table_of())
+    for k in range(30):
+        firmware.hear(4, 9.0)
+        firmware.hear(*sample)
+        assert firmware.step(0.1, 0.0) == other.step(0.1, 0.0), k
+
+
+@pytest.mark.parametrize("age", [7, 30])
+def test_a_sample_counts_for_the_tick_in_which_it_was_taken(age: int) -> None:
+    """Old samples stand in for the sensor nearly as well as new ones, if their age is told."""
+    honest_age, none_told = (drive(table_of(), missing, age=(age, told)) for told in (age, 0))
+    assert honest_age.off(HEALTHY) < 0.5 * none_told.off(HEALTHY)
+
+
+def test_a_tick_that_overflows_forgets_the_samples() -> None:
+    firmware, fresh = Firmware(table_of()), Firmware(table_of())
+    for _ in range(20):
+        firmware.hear(3, 0.3)
+        firmware.hear(4, 3.0)
+        firmware.step(0.1, 0.0)
+    assert firmware.step(1e308, -1e308).mode == Mode.BLIND
+    answers = [each.step(0.0, 0.0).verdict for each in (firmware, fresh)]
+    assert answers[0] == answers[1]
+
+
+def test_the_witness_knows_the_speed_of_a_car_that_says_it() -> None:
+    """V beyond the designs counts too, where no other constant follows any more."""
+    of = scheduled(target=replace(SCHEDULED, witness=WITNESS), cars=1)
+    at = Blended(of)
+    for speed_mps in (SPEEDS[0], 0.5 * (SPEEDS[0] + SPEEDS[-1]), 2.0 * SPEEDS[-1]):
+        at.to(speed_mps)
+        assert at.table.witness.speed == speed_mps
+
+
+def test_an_unknown_torque_is_no_fault_of_a_sensor_that_the_witness_confirms() -> None:
+    """D* alone takes the torque for a sensor's fault again and again."""
+    sensor = {Verdict.SENSOR_WRONG, Verdict.SENSOR_DRIFTING, Verdict.SENSOR_FROZEN}
+    heard = drive(table_of(), push=30.0)
+    alone = drive(table_of(None), hears=None, push=30.0)
+    assert not sensor & set(heard.verdicts[FAULT + 60 :])
+    assert sensor & set(alone.verdicts[FAULT + 60 :])
+
+
+def test_a_sample_older_than_the_memory_counts_for_nothing() -> None:
+    late = Witness(WEIGHT, SPEED_MPS, lag_s=5 * TICK_S, noise_rms=RMS)
+    oldest = KEPT_TICKS - 1
+    driven = drive(table_of(late, blind_s=0.1), missing, age=(oldest, oldest))
+    assert driven.answers[-1].mode == Mode.SAFE_STOP
