@@ -51,6 +51,7 @@ from firmware_model.law.fault_decision.hypotheses.verdict import (
     NOTHING,
     SENSOR_FROZEN,
     SENSOR_WRONG,
+    believe_with_witness,
     clear_hypotheses,
 )
 from firmware_model.law.fault_decision.likelihood_ratio import (
@@ -297,6 +298,7 @@ def witness(table: Table, state: State, y: float, model_output: float) -> None:
         withdraw_loss(table, state)
         forget_loss(own)
     if own.denied == 1:
+        believe_with_witness(table, state)
         state.hypotheses.verdict = SENSOR_WRONG
     elif before == 1:
         state.hypotheses.verdict = NOTHING
