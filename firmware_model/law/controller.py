@@ -76,7 +76,9 @@ from firmware_model.law.fault_decision.safe_stop import stops, take_commands_bac
 from firmware_model.law.fault_decision.witness import (
     advance_witness,
     forget_loss,
+    has_news,
     refutes,
+    said,
     settle_witness,
     weigh_witness,
 )
@@ -167,6 +169,9 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
     told = math.isfinite(r)
     frozen = state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement
     measured = math.isfinite(y) and not frozen
+    begins = table.prediction.enabled == 1 and state.takeover.pending != BEGUN
+    if begins and not measured and has_news(state.witness):
+        y, measured = said(table.witness, state.witness), True
     seen = (measured and state.witness.denied == 0) or state.witness.left > 0
     predicts = table.prediction.enabled == 1 and state.takeover.pending == BEGUN
     if stops(table, state, told and seen):
