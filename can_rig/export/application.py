@@ -80,7 +80,7 @@ def application(scenario: Scenario) -> dict[str, str]:
         **constants_files(of.table, title, of.schedule),
         HEADER: header,
         **{name: support(name, parts, **texts) for name in BY_HAND},
-        DATA: self_test_data(of, scenario.reference.amplitude_mps2 or 1.0),
+        DATA: self_test_data(of, scenario.reference.amplitude_mps2 or 1.0, bool(sensors)),
         "network.c": _network_source(network, scenario),
     }
 

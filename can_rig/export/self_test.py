@@ -49,6 +49,7 @@ SLOW: Final = range(360, 370)  # below the speed of the lowest design
 RESET: Final = 390
 SWINGING: Final = range(395, TICKS)  # the measurement, from side to side
 SWING_TICKS: Final = 6
+SAMPLED_TICKS: Final = 5  # from sample to sample of a further sensor
 STARTS: Final = (0, RESTARTED, RESET, TICKS)
 HUGE: Final = 1e3
 
@@ -100,12 +101,13 @@ class _Plant:
         self._under_way[1].append(command_2)
 
 
-def known_answers(of: Scheduled, amplitude: float) -> KnownAnswers:
+def known_answers(of: Scheduled, amplitude: float, hears: bool = False) -> KnownAnswers:
     """A healthy plant, a loss of channel 1, missing inputs, saturation, a restart, a reset, swings.
 
     Args:
         of: table and schedule of the controller.
         amplitude: of the reference, in the measurement's unit.
+        hears: whether the controller hears ``_samples``.
     """
     precision = precision_of(of.table)
     tables, blendings = (np.zeros(1, record_type(each, precision)) for each in (Table, Blending))
@@ -119,7 +121,8 @@ def known_answers(of: Scheduled, amplitude: float) -> KnownAnswers:
         speeds = _speeds(of.schedule)
         memory += [(Table, tables), (Blending, blendings)]
     inputs = np.column_stack([np.zeros((TICKS, 2)), speeds]).astype(precision)
-    said, seen = b"", set[str]()
+    said, seen, commands = b"", set[str](), (0.0, 0.0)
+    hear = PYTHON_LAW.hear_of(tables, states)
     for k, row in enumerate(inputs):
         row[:2] = _inputs(k, amplitude, plant.measurement())
         if k == RESET:
@@ -130,7 +133,13 @@ def known_answers(of: Scheduled, amplitude: float) -> KnownAnswers:
             states[0].takeover.pending = UNKNOWN
         if change_speed is not None:
             change_speed(float(row[2]))
+        if k in STARTS:
+            begin, commands = k, (0.0, 0.0)
+        if hears and (k - begin) % SAMPLED_TICKS == 0:
+            for sample in _samples(*commands, float(row[1])):
+                hear(*sample)
         *reals, mode, fault_state, verdict = step(float(row[0]), float(row[1]))
+        commands = reals[0], reals[1]
         plant.act(0.0 if k in LOST else reals[0], reals[1])
         said += as_bytes(np.array(reals, precision))
         said += as_bytes(np.array([mode, fault_state, verdict], np.int32))
@@ -149,6 +158,19 @@ def _inputs(k: int, amplitude: float, measurement: float) -> tuple[float, float]
     if k in SWINGING:
         measurement = 10.0 * amplitude * (-1.0) ** (k // SWING_TICKS)
     return math.nan if k in UNTOLD else reference, math.nan if k in UNMEASURED else measurement
+
+
+def _samples(
+    command_1: float, command_2: float, measurement: float
+) -> Iterator[tuple[int, float, float]]:
+    """Samples of further sensors: of numbers that ``self_test.c`` knows, exact in every precision.
+
+    The commands are those of the tick before.
+    """
+    yield 1, command_1, 0.0
+    yield 2, 0.5 * command_2, 1.0
+    yield 3, 0.0625 * measurement, 2.0
+    yield 4, measurement, 3.0
 
 
 def _speeds(schedule: Constants) -> FloatArray:
@@ -188,9 +210,9 @@ def _spans(tag: str, memory: list[tuple[str, type[Struct]]], precision: Precisio
     yield "    {0, 0, false},"
 
 
-def self_test_data(of: Scheduled, amplitude: float) -> str:
+def self_test_data(of: Scheduled, amplitude: float, hears: bool) -> str:
     """``self_test_data.c``; the arguments are those of ``known_answers``."""
-    known, precision = known_answers(of, amplitude), precision_of(of.table)
+    known, precision = known_answers(of, amplitude, hears), precision_of(of.table)
     constants = values(Table, of.table)
     memory: list[tuple[str, type[Struct]]] = [("", State)]
     tag = "layout_state"

@@ -51,6 +51,7 @@ from firmware_model.law.fault_decision.hypotheses.verdict import (
     NOTHING,
     SENSOR_FROZEN,
     SENSOR_WRONG,
+    believe_with_witness,
     clear_hypotheses,
 )
 from firmware_model.law.fault_decision.likelihood_ratio import (
@@ -75,7 +76,9 @@ from firmware_model.law.fault_decision.safe_stop import stops, take_commands_bac
 from firmware_model.law.fault_decision.witness import (
     advance_witness,
     forget_loss,
+    has_news,
     refutes,
+    said,
     settle_witness,
     weigh_witness,
 )
@@ -166,6 +169,9 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
     told = math.isfinite(r)
     frozen = state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement
     measured = math.isfinite(y) and not frozen
+    begins = table.prediction.enabled == 1 and state.takeover.pending != BEGUN
+    if begins and not measured and has_news(state.witness):
+        y, measured = said(table.witness, state.witness), True
     seen = (measured and state.witness.denied == 0) or state.witness.left > 0
     predicts = table.prediction.enabled == 1 and state.takeover.pending == BEGUN
     if stops(table, state, told and seen):
@@ -297,6 +303,7 @@ def witness(table: Table, state: State, y: float, model_output: float) -> None:
         withdraw_loss(table, state)
         forget_loss(own)
     if own.denied == 1:
+        believe_with_witness(table, state)
         state.hypotheses.verdict = SENSOR_WRONG
     elif before == 1:
         state.hypotheses.verdict = NOTHING

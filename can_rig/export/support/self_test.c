@@ -70,6 +70,21 @@ static bool constants_are_whole(void)
     return (crc ^ UINT32_MAX) == self_test_data.crc_of_constants;
 }
 
+//: if sensors
+/* Hear samples that Python heard too, of the answer of the tick before. */
+//: if blends
+static void hear(struct firmware_memory *memory, struct firmware_answer last, real measurement)
+//: else
+static void hear(struct layout_state *memory, struct firmware_answer last, real measurement)
+//: end
+{
+    firmware_hear(memory, (real)1, last.command_1, (real)0);
+    firmware_hear(memory, (real)2, (real)0.5 * last.command_2, (real)1);
+    firmware_hear(memory, (real)3, (real)0.0625 * measurement, (real)2);
+    firmware_hear(memory, (real)4, measurement, (real)3);
+}
+
+//: end
 //: if blends
 bool self_test(struct firmware_memory *memory)
 //: else
@@ -88,12 +103,23 @@ bool self_test(struct layout_state *memory)
         } else {
             firmware_init(memory);
         }
+//: if sensors
+        struct firmware_answer answer = {0};
+
+//: end
         for (uint32_t i = 0; i < part->ticks; i++) {
 //: if blends
             firmware_change_speed(memory, tick->speed);
 //: end
+//: if sensors
+            if (i % 5u == 0u) {
+                hear(memory, answer, tick->measurement);
+            }
+            answer = firmware_step(memory, tick->reference, tick->measurement);
+//: else
             const struct firmware_answer answer =
                 firmware_step(memory, tick->reference, tick->measurement);
+//: end
 
             crc = with_real(crc, answer.command_1);
             crc = with_real(crc, answer.command_2);

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer
-from firmware_model.law.fault_decision.echoes import known_output, says_lost
+from firmware_model.law.fault_decision.echoes import confesses, known_output, says_lost
 from firmware_model.law.fault_decision.hypotheses.sensor_error import sensor_error_shown
 from firmware_model.law.fault_decision.hypotheses.signatures import begin_all
 from firmware_model.law.fault_decision.hypotheses.verdict import (
@@ -161,16 +161,17 @@ def needed_evidence(table: Table, state: layout.State) -> float:
 
 @firmware
 def has_to_wait(table: Table, state: layout.State) -> bool:
-    """Whether d̂ alone shows a loss, and the witness can tell soon.
+    """Whether d̂ alone shows a loss, and others can tell soon.
 
-    The witness contradicts the sensor, or the echo denies the loss and the witness does not show
-    the loss yet.
+    The witness contradicts the sensor; or the echo denies the loss, and the witness does not show
+    the loss yet, or the echo of actuator 2 shows a fault there.
     """
     own, echo = state.witness, state.echoes.channel_1
     denied = echo.left > 0 and echo.believed == 0 and not says_lost(table.echoes.actuator_1, echo)
     told = own.age < state.sequential_test.age and acquits(table.witness, own)
     sound = own.left > 0 and agrees_with_itself(table.witness, own)
-    waits: bool = (sound and denied and not told) or contradicts(table.witness, own)
+    elsewhere = denied and confesses(table.echoes.actuator_2, state.echoes.channel_2)
+    waits: bool = elsewhere or (sound and denied and not told) or contradicts(table.witness, own)
     return waits
 
 

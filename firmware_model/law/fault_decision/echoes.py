@@ -193,6 +193,13 @@ def says_lost(constants: Actuator, own: Echo) -> bool:
 
 
 @firmware
+def confesses(constants: Actuator, own: Echo) -> bool:
+    """Whether the last echo shows a fault, more than noise."""
+    shown: bool = own.left > 0 and own.good == 0 and own.off > constants.least
+    return shown
+
+
+@firmware
 def works(own: Echo, working: int) -> bool:
     """Whether so many echoes have reported a ``working`` actuator, one after another."""
     return own.left > 0 and working > 0 and own.good >= working

@@ -104,13 +104,12 @@ def weigh_witness(table: Table, own: State, y: float, expected: float, healthy: 
     """
     own.measured[own.index], own.expected[own.index] = y, expected
     own.healthy[own.index] = healthy
-    if own.yaw_rate.fresh == 0 or own.acceleration.fresh == 0:
+    if not has_news(own):
         return
     own.yaw_rate.fresh = own.acceleration.fresh = 0
-    constants, one = table.witness, real(1.0, expected)
+    constants, one, witness = table.witness, real(1.0, expected), said(table.witness, own)
     turning, sliding = constants.speed * own.yaw_rate.value, own.acceleration.value
     weight, oldest = constants.lateral_weight, max(own.yaw_rate.age, own.acceleration.age)
-    witness = weight * sliding + (one - weight) * turning
     age = weight * own.acceleration.age + (one - weight) * own.yaw_rate.age + constants.late
     late = not (age >= 0.0 and age < real(KEPT_TICKS, age))
     if late or oldest > real(constants.longest, age) or not math.isfinite(witness):
@@ -121,6 +120,21 @@ def weigh_witness(table: Table, own: State, y: float, expected: float, healthy: 
     own.healthy_difference = witness - own.healthy[at]
     if math.isfinite(own.measured[at]):
         compare(constants, own, at, witness, sliding - turning)
+
+
+@firmware
+def has_news(own: State) -> bool:
+    """Whether both sensors have said something since the last comparison."""
+    return own.yaw_rate.fresh == 1 and own.acceleration.fresh == 1
+
+
+@firmware
+def said(constants: Constants, own: State) -> float:
+    """w of the last samples."""
+    one, turning = real(1.0, own.difference), constants.speed * own.yaw_rate.value
+    weight = constants.lateral_weight
+    witness: float = weight * own.acceleration.value + (one - weight) * turning
+    return witness
 
 
 @firmware

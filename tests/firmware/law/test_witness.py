@@ -288,3 +288,38 @@ def test_a_sample_older_than_the_memory_counts_for_nothing() -> None:
     oldest = KEPT_TICKS - 1
     driven = drive(table_of(late, blind_s=0.1), missing, age=(oldest, oldest))
     assert driven.answers[-1].mode == Mode.SAFE_STOP
+
+
+def dies_later(torque: float, force: float, k: int) -> tuple[float, float]:
+    return (torque, force) if k < 200 else (0.0, force)
+
+
+def test_a_motor_that_dies_beside_a_denied_sensor_is_compensated_from_its_echo() -> None:
+    alone = drive(table_of(), nothing, acts=dies_later)
+    honestly, against = (
+        drive(table_of(echoes=True), nothing, acts=dies_later, echoes=says)
+        for says in (honest, lying)
+    )
+    assert honestly.off(HEALTHY) < 0.5 * alone.off(HEALTHY)
+    assert abs(honestly.y[-1] - HEALTHY.y[-1]) < 0.2
+    assert max(abs(answer.command_2) for answer in against.answers) == 0.0
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0])
+def test_a_controller_begins_with_the_witness_alone(level: float) -> None:
+    firmware, car = Firmware(table_of()), Car()
+    firmware.begin()
+    steady = np.linalg.solve(np.eye(len(car.a)) - car.a, car.b[:, 0])
+    torque = level / float(car.c[0] @ steady)
+    car.x, car.commands = steady * torque, (torque, 0.0)
+    modes = []
+    for k in range(400):
+        if k % PERIOD == 0:
+            firmware.hear(3, car.y / SPEED_MPS)
+            firmware.hear(4, car.y)
+        answer = firmware.step(1.0, math.nan)
+        car.go_on(*car.commands)
+        car.commands = (answer.command_1, answer.command_2)
+        modes.append(answer.mode)
+    assert Mode.RUN in modes[:PERIOD]
+    assert car.y == pytest.approx(1.0, abs=0.01)

@@ -203,6 +203,13 @@ def test_make_and_ctest_run_the_test(kind: str, built: Built, tmp_path: Path) ->
         assert "100% tests passed" in run("ctest", "--test-dir", tmp_path)
 
 
+def test_a_law_that_hears_further_sensors_answers_their_samples_too() -> None:
+    of = controls(load("cluster", []), network_of(load("cluster", [])))
+    heard, deaf = (known_answers(of, 1.0, hears) for hears in (True, False))
+    assert heard.crc != deaf.crc
+    assert "Verdict.TORQUE_OFFSET" in {*heard.seen} - {*deaf.seen}
+
+
 @pytest.mark.parametrize("name", ["default", "pendulum", "drive-cycle", "wltc"])
 def test_the_stored_ticks_show_what_they_promise(name: str) -> None:
     """No fault, a loss, missing inputs, limits reached; of an unstable plant too."""

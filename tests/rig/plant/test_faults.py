@@ -230,7 +230,7 @@ def test_what_an_actuator_adds_is_no_bias_of_d():
         (Command("INJECT", "actuator-dead", "torque", 2.0), "left = 2.0: must be less than 1"),
         (Command("INJECT", "frames-missing", "torque", 1.0), "has no value"),
         (Command("INJECT", "actuator-late", "torque", 2.4), "must be a whole number of ticks"),
-        (Command("INJECT", "actuator-dead", "sensor"), "must be of torque or force-difference"),
+        (Command("INJECT", "actuator-dead", "sensor"), "must be torque or force-difference"),
         (Command("INJECT", "actuator-dead", "torque", 0.0, 60.0), "must be 0.1 to 25.5 s"),
         (Command("INJECT", "sensor-biased", "sensor", 0.0004), "must be 0 or at least 0.001"),
         (Command("MOVE_REFERENCE", value=math.nan), "value nan: must be -8388.61 to 8388.61"),

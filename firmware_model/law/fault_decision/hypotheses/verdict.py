@@ -22,7 +22,13 @@ from firmware_model.compiled import firmware
 from firmware_model.law.fault_decision import candidate
 from firmware_model.law.fault_decision.candidate import likeliest
 from firmware_model.law.fault_decision.covariance import LOSS_STATES, variance_of
-from firmware_model.law.fault_decision.echoes import Echo, believe, says_lost, works
+from firmware_model.law.fault_decision.echoes import (
+    Echo,
+    believe,
+    missing_command,
+    says_lost,
+    works,
+)
 from firmware_model.law.fault_decision.hypotheses import signatures
 from firmware_model.law.fault_decision.hypotheses.frozen import (
     Constants as FrozenConstants,
@@ -48,7 +54,8 @@ from firmware_model.law.fault_decision.hypotheses.signatures import (
     weigh_signatures,
 )
 from firmware_model.law.fault_decision.loss_model import known_share
-from firmware_model.law.fault_decision.witness import acquits, contradicts
+from firmware_model.law.fault_decision.witness import acquits, contradicts, unsure
+from firmware_model.law.filters.biquad import output
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray, Struct
@@ -247,6 +254,19 @@ def find_by_echo(
     hypotheses.found_size = 0.0
     hypotheses.found = fault
     hypotheses.verdict = NOTHING
+
+
+@firmware
+def believe_with_witness(table: Table, state: layout.State) -> None:
+    """Believe the echo of a lost torque without the sensor, once the witness shows the loss too."""
+    echo, row, off = state.echoes.channel_1, state.hypotheses.signatures.torque_echo, state.witness
+    actuator = table.echoes.actuator_1
+    missing = output(table.estimator.channel_1, row.answer, missing_command(actuator, echo))
+    half = real(0.5, missing)
+    explains = abs(off.difference + missing) < half * abs(off.difference)
+    shown = off.left > 0 and off.witness_off > unsure(table.witness, off)
+    if shown and explains and echo.believed == 0 and says_lost(actuator, echo):
+        find_by_echo(table, state, row, echo, TORQUE_OFFSET)
 
 
 @firmware
