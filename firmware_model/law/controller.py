@@ -171,7 +171,8 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
     measured = math.isfinite(y) and not frozen
     begins = table.prediction.enabled == 1 and state.takeover.pending != BEGUN
     if begins and not measured and has_news(state.witness):
-        y, measured = said(table.witness, state.witness), True
+        y = said(table.witness, state.witness)
+        measured = math.isfinite(y)
     seen = (measured and state.witness.denied == 0) or state.witness.left > 0
     predicts = table.prediction.enabled == 1 and state.takeover.pending == BEGUN
     if stops(table, state, told and seen):

@@ -165,6 +165,8 @@ def compare(constants: Constants, own: State, at: int, witness: float, inner: fl
     wrong = off and not sound and constants.nearer * own.sensor_off < own.witness_off
     if wrong or own.good >= constants.working:
         own.denied = 0
+    if not math.isfinite(own.power + own.inner + own.sensor_off + own.witness_off + own.apart):
+        forget_samples(own)
 
 
 @firmware

@@ -38,7 +38,7 @@ class State(Struct):
 
     difference: Annotated[float, "y", "slow part of y - prediction"]
     fading: Annotated[float, "y", "C's y minus the measurement or its stand-in, fading"]
-    elapsed: Annotated[float, "tick", "ticks since the last tick with both inputs"]
+    elapsed: Annotated[float, "tick", "ticks since the last tick with both inputs or a witness"]
 
 
 @firmware
@@ -81,7 +81,8 @@ def turn_to_witness(own: State, difference: float) -> None:
 
 @firmware
 def follow_witness(constants: Constants, own: State, difference: float) -> None:
-    """The witness last said so of y - prediction."""
+    """The witness last said so of y - prediction; the controller is not blind."""
+    own.elapsed = min(own.elapsed, real(1.0, difference))
     own.difference = difference + constants.fading * (own.difference - difference)
 
 

@@ -205,7 +205,14 @@ def falls_silent(y: float, k: int) -> float:
 
 def test_a_denied_sensor_stays_denied_when_the_witness_falls_silent() -> None:
     driven = drive(table_of(blind_s=0.02), off, falls_silent)
-    assert driven.answers[-1].mode == Mode.SAFE_STOP
+    modes = [answer.mode for answer in driven.answers]
+    stop = modes.index(Mode.SAFE_STOP)
+    assert 200 < stop - FAULT < 225
+    torques = [answer.command_1 for answer in driven.answers[stop - 1 : stop + 21]]
+    steps = np.diff(torques)
+    assert steps[:19] == pytest.approx(steps[0], rel=0.01)  # a straight line to zero
+    assert torques[-1] == 0.0
+    assert set(modes[stop:]) == {Mode.SAFE_STOP}
 
 
 @pytest.mark.parametrize("moves", [True, False])
@@ -252,6 +259,18 @@ def test_a_sample_counts_for_the_tick_in_which_it_was_taken(age: int) -> None:
     """Old samples stand in for the sensor nearly as well as new ones, if their age is told."""
     honest_age, none_told = (drive(table_of(), missing, age=(age, told)) for told in (age, 0))
     assert honest_age.off(HEALTHY) < 0.5 * none_told.off(HEALTHY)
+
+
+def absurd(y: float, k: int) -> float:
+    return 1e200 if k < 20 else y
+
+
+def test_a_sensor_that_says_absurd_numbers_is_believed_again_after_all() -> None:
+    table = table_of(limit_1=400.0, limit_2=4000.0).copy()
+    table.witness.working = 40
+    driven = drive(table, absurd)
+    assert driven.answers[-1].mode == Mode.RUN
+    assert driven.off(HEALTHY) < 0.5
 
 
 def test_a_tick_that_overflows_forgets_the_samples() -> None:
