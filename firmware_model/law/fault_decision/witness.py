@@ -71,7 +71,7 @@ class State(Struct):
     index: Annotated[int, "1", "index of this tick in the rings"]
     difference: Annotated[float, "y", "z - p of the last sample"]
     healthy_difference: Annotated[float, "y", "likewise, p without any known loss"]
-    power: Annotated[float, "y²", "fading Σ w²"]
+    power: Annotated[float, "y²", "fading Σ z²"]
     apart: Annotated[float, "y²", "fading Σ (y - z)²"]
     inner: Annotated[float, "y²", "fading Σ (a - V γ)²"]
     sensor_off: Annotated[float, "y²", "fading Σ (y - p)²"]
@@ -171,7 +171,7 @@ def compare(constants: Constants, own: State, at: int, witness: float, inner: fl
 
 @firmware
 def unsure(constants: Constants, own: State) -> float:
-    """The fading sum up to which noise and an unknown speed explain a difference from w.
+    """The fading sum up to which noise and an unknown speed explain a difference from z.
 
     Three times what the speed explains: from there on ``agrees_with_itself`` tells a wrong γ.
     """
