@@ -3,20 +3,20 @@
 The output has three sources: the sensor (y), the model (p, the prediction with the known loss), and
 the witness
 
-    w = d a + (1 - d) V γ        (3.8), with a the lateral acceleration and γ the yaw rate
+    z = d a + (1 - d) V γ        (3.8), with a the lateral acceleration and γ the yaw rate
 
-Each sample of the witness compares the three sources at the time of the sample. Where y and w are
+Each sample of the witness compares the three sources at the time of the sample. Where y and z are
 further apart than noise explains, the model decides:
 
-    p is near w    the sensor is *denied*: p plus the last w - p replaces y
+    p is near z    the sensor is *denied*: p plus the last z - p replaces y
     p is near y    the witness is wrong: nothing follows
 
-A car that slides little has nearly equal a and V γ. Where a and V γ are further apart than y and w,
+A car that slides little has nearly equal a and V γ. Where a and V γ are further apart than y and z,
 the yaw rate or the acceleration is wrong, and the witness denies nothing.
 
-Where y and w agree against p, the sensor is *acquitted*: d̂ shows a fault of another place. A wrong
+Where y and z agree against p, the sensor is *acquitted*: d̂ shows a fault of another place. A wrong
 sensor may have confirmed a loss before the first contradiction; the model without that loss is
-near w, and the loss is *refuted*.
+near z, and the loss is *refuted*.
 
 ``working`` samples in agreement, of a moving car, end the denial of a sensor; so does a witness
 that is found wrong. A witness that stays away for long gives no information.
@@ -69,15 +69,15 @@ class State(Struct):
     expected: Annotated[FloatArray, "y", "ring of p", (KEPT_TICKS,)]
     healthy: Annotated[FloatArray, "y", "ring of p without any known loss", (KEPT_TICKS,)]
     index: Annotated[int, "1", "index of this tick in the rings"]
-    difference: Annotated[float, "y", "w - p of the last sample"]
+    difference: Annotated[float, "y", "z - p of the last sample"]
     healthy_difference: Annotated[float, "y", "likewise, p without any known loss"]
-    power: Annotated[float, "y²", "fading Σ w²"]
-    apart: Annotated[float, "y²", "fading Σ (y - w)²"]
+    power: Annotated[float, "y²", "fading Σ z²"]
+    apart: Annotated[float, "y²", "fading Σ (y - z)²"]
     inner: Annotated[float, "y²", "fading Σ (a - V γ)²"]
     sensor_off: Annotated[float, "y²", "fading Σ (y - p)²"]
     sensor_healthy_off: Annotated[float, "y²", "fading Σ (y - p)², p without any known loss"]
-    witness_off: Annotated[float, "y²", "fading Σ (w - p)²"]
-    healthy_off: Annotated[float, "y²", "fading Σ (w - p)², p without any known loss"]
+    witness_off: Annotated[float, "y²", "fading Σ (z - p)²"]
+    healthy_off: Annotated[float, "y²", "fading Σ (z - p)², p without any known loss"]
     age: Annotated[float, "tick", "since the last sample"]
     left: Annotated[int, "tick", "for so long the last sample counts; 0: no witness"]
     good: Annotated[int, "1", "samples in agreement, one after another"]
@@ -130,7 +130,7 @@ def has_news(own: State) -> bool:
 
 @firmware
 def said(constants: Constants, own: State) -> float:
-    """w of the last samples."""
+    """z of the last samples."""
     one, turning = real(1.0, own.difference), constants.speed * own.yaw_rate.value
     weight = constants.lateral_weight
     witness: float = weight * own.acceleration.value + (one - weight) * turning
@@ -171,7 +171,7 @@ def compare(constants: Constants, own: State, at: int, witness: float, inner: fl
 
 @firmware
 def unsure(constants: Constants, own: State) -> float:
-    """The fading sum up to which noise and an unknown speed explain a difference from w.
+    """The fading sum up to which noise and an unknown speed explain a difference from z.
 
     Three times what the speed explains: from there on ``agrees_with_itself`` tells a wrong γ.
     """
@@ -182,7 +182,7 @@ def unsure(constants: Constants, own: State) -> float:
 
 @firmware
 def agrees_with_itself(constants: Constants, own: State) -> bool:
-    """Whether a and V γ are not as far apart as a wrong one would set y and w apart."""
+    """Whether a and V γ are not as far apart as a wrong one would set y and z apart."""
     half, two = real(0.5, own.inner), real(2.0, own.inner)
     agrees: bool = own.inner < half * own.apart + two * constants.doubt * own.power
     return agrees
