@@ -26,7 +26,8 @@ static uint32_t with_real(uint32_t crc, real x)
         bits = INFINITE + 1u; /* any not-a-number */
     }
     for (uint32_t i = 0; i < sizeof bits; i++) {
-        const bits_of_real low = bits >> (8u * i) & (bits_of_real)0xFFu;
+        const uint32_t places = 8u * i;
+        const bits_of_real low = bits >> places & (bits_of_real)0xFFu;
 
         crc = with_byte(crc, (uint32_t)low);
     }
