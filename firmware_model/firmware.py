@@ -37,7 +37,7 @@ Memories = tuple[RecordArray, RecordArray, RecordArray, RecordArray]
 """Constants and state of ``schedule``, table and state of ``controller``, each in an array."""
 
 Hear = Callable[[float, float, float], None]
-"""Takes channel, echo and age in ticks; see ``further_sensors.hear``."""
+"""Takes sensor, value and age in ticks; see ``further_sensors.hear``."""
 
 ChangeSpeed = Callable[[float], None]
 
@@ -142,9 +142,9 @@ class Firmware:
             float(command_1), float(command_2), float(estimate), mode, fault_state, verdict
         )
 
-    def hear(self, channel: int, echo: float, age_ticks: float = 0.0) -> None:
-        """Before the ``step`` of a tick: what an actuator reports; see ``further_sensors.hear``."""
-        self._hear(channel, echo, age_ticks)
+    def hear(self, sensor: int, value: float, age_ticks: float = 0.0) -> None:
+        """Before the ``step`` of a tick: a further sensor; see ``further_sensors.hear``."""
+        self._hear(sensor, value, age_ticks)
 
     def begin(self, at_rest: bool = False) -> None:
         """Start as after power-up: a plant that moves is taken over; see ``law.takeover``.

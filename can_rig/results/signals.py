@@ -238,7 +238,7 @@ class SignalRows:
         """Columns of the further sensors."""
         timings = [(period, 0, 0) for period in network.periods]
         self.sample_ages: Final = ages_of(self.sensors)
-        """Columns of the ages of the actuators' echoes."""
+        """Columns of the ages of the samples that the law hears."""
         self._hearing = Hearing(network.witnesses, timings, self.sensors)
         self._tick = -1
         self._marked = False

@@ -28,14 +28,12 @@ import math
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision.echoes import KEPT_TICKS
 from firmware_model.law.precision import real
 from firmware_model.law.structs import FloatArray, Struct
 
 if TYPE_CHECKING:
     from firmware_model.law.layout import Table
-
-
-KEPT_TICKS = 64
 
 
 class Constants(Struct):
