@@ -32,8 +32,6 @@ from can_rig.export.law import parts_of, support
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.network import Network
 from firmware_model.firmware import PYTHON_LAW, Law
-from firmware_model.law.fault_decision.echoes import KEPT_TICKS
-from firmware_model.law.filters.whitener import WHITENER_SECTIONS
 from firmware_model.law.layout import precision_of, state_type, table_type
 from firmware_model.law.monitor import COMPENSATION_OFF, SWINGING
 from firmware_model.law.schedule import MAX_SPEEDS, Constants
@@ -47,6 +45,8 @@ from firmware_model.law.structs import (
     RecordArray,
     record_type,
 )
+from firmware_model.law.supervision.echoes import KEPT_TICKS
+from firmware_model.law.supervision.whitener import WHITENER_SECTIONS
 
 HOST_FLAGS: Final = ("-std=c99", "-ffp-contract=off")
 

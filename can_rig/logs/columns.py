@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from firmware_model.law.fault_decision.hypotheses.verdict import HYPOTHESES
 from firmware_model.law.status import Verdict
+from firmware_model.law.supervision.verdict import HYPOTHESES
 
 ON_THE_BUS: Final = (
     "time_s",

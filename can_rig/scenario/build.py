@@ -27,9 +27,9 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Reporting, Target, Witness
 from firmware_model.errors import DesignError
-from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.law.layout import Table
 from firmware_model.law.structs import FloatArray
+from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
 
 MOST_PLANTS, MOST_TABLES = 64, 16  # limits of the caches; a box has 40 cars
 
@@ -256,6 +256,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         false_alarms_per_hour=scenario.budget.false_alarms_per_hour,
         suspicions_per_hour=scenario.budget.suspicions_per_hour,
         on_confirmation=chosen.compensation == "on-confirmation",
+        supervised=chosen.supervision == "full",
         safe_stop_s=chosen.safe_stop_s,
         blind_s=limits.blind_s,
         monitor=limits.monitor,
