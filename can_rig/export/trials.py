@@ -218,6 +218,7 @@ def random_table(
     table.mismatch.n = 0 if random.random() < 0.1 else cars.n + 3
     table.reference_shaper.enabled = random.integers(0, 2)
     table.compensator.on_confirmation = random.integers(0, 2)
+    table.supervised = int(random.random() < 0.9)
     table.bumpless_transfer.slowest_pace = random.exponential()
     takeover = table.takeover
     takeover.enabled = random.integers(0, 2)
