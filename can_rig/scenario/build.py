@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from can_rig.errors import ScenarioError
 from can_rig.frames.databases import shipped_dbc
@@ -24,12 +25,12 @@ from firmware_model.design.continuous_design import ContinuousDesign, DesignSpec
 from firmware_model.design.mismatch import Mismatch, principal_mismatch
 from firmware_model.design.vehicle import GRAVITY_MPS2
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Reporting, Target, Witness
 from firmware_model.errors import DesignError
-from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS
-from firmware_model.law.layout import Table
 from firmware_model.law.structs import FloatArray
+
+if TYPE_CHECKING:  # a plant node needs no table
+    from firmware_model.law.layout import Table
 
 MOST_PLANTS, MOST_TABLES = 64, 16  # limits of the caches; a box has 40 cars
 
@@ -299,6 +300,10 @@ def _witness(scenario: Scenario) -> Witness | None:
 
 def mismatch(scenario: Scenario) -> Mismatch:
     """The plants beside the model, along the principal directions of the budget's box."""
+    from firmware_model.law.fault_decision.covariance import (  # noqa: PLC0415 (as in `_table`)
+        MAX_DIRECTIONS,
+    )
+
     chosen = scenario.design
     keys, late = _uncertain(scenario)
     other = other_plants(scenario)
@@ -369,6 +374,8 @@ def sources_of_table(scenario: Scenario, network: Network | None) -> tuple[objec
 
 @remembered(MOST_TABLES, by=sources_of_table)
 def _table(scenario: Scenario, network: Network | None) -> Table:
+    from firmware_model.discretisation.tables import build  # noqa: PLC0415 (a plant needs none)
+
     try:
         place = replace(target(scenario, network), mismatch=mismatch(scenario))
         return build(continuous_design(scenario), place)

@@ -33,16 +33,14 @@ from firmware_model.analysis.loop import (
     run_ticks,
     tick,
 )
-from firmware_model.analysis.sampled_plant import SampledPlant, follow
+from firmware_model.analysis.sampled_plant import AnyPlant, SampledPlant, follow
 from firmware_model.law import controller as law
 from firmware_model.law.further_sensors import hear_first
 from firmware_model.law.knowledge import saved_in
 from firmware_model.law.layout import Table, precision_of, table_type
 from firmware_model.law.schedule import Constants, change_first_speed
 from firmware_model.law.schedule import State as BlendState
-from firmware_model.law.structs import FloatArray, RecordArray, record_type
-
-BoolArray = NDArray[np.bool_]
+from firmware_model.law.structs import BoolArray, FloatArray, RecordArray, record_type
 
 
 @dataclass(frozen=True)
@@ -72,19 +70,6 @@ class Trace:
 
 
 Vectors = tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]
-
-
-class AnyPlant(Protocol):
-    """A plant behind its actuators and sensor, at rest when it is given to ``simulate``."""
-
-    def follow(
-        self, command_1: float, command_2: float, left_1: float, left_2: float
-    ) -> tuple[float, float]:
-        """Advance by a tick; return the output before the sensor and the sensor's reading.
-
-        The commands reach the actuators now; ``left_1`` and ``left_2`` are the remaining
-        effectiveness.
-        """
 
 
 @runtime_checkable
