@@ -32,7 +32,8 @@ from can_rig.nodes.processes import run_processes
 from can_rig.nodes.recording import CandumpLines, Recorder
 from can_rig.nodes.runner import RunOptions, run_in_process
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.controls import controller_table
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from collections.abc import Callable, Iterator, Mapping
+from typing import Final
 
 import numpy as np
 
@@ -161,20 +161,20 @@ class ChangingCar:
         return within
 
     def run_loop(
-        self, loop: Any, begin: int, end: int, output: tuple[float, float]
+        self,
+        loop: Callable[..., tuple[float, float]],
+        begin: int,
+        end: int,
+        output: tuple[float, float],
     ) -> tuple[float, float]:
         """See ``simulation.LoopPlant``."""
-        from firmware_model.analysis.world_loop import (  # noqa: PLC0415 (a plant node needs none)
-            run_changing,
-        )
-
         ahead = self._tick - begin
         for some in _pages(self._tick, end + ahead):
             world = NO_WORLD
             if self._world is not None:
                 world = self._world.at(range(some.start, some.stop + 1))
-            output = run_changing(
-                loop, some.start - ahead, some.stop - ahead, *output, self._constants,
+            output = loop(
+                some.start - ahead, some.stop - ahead, *output, self._constants,
                 self._car.memory, ahead, world, self._work,
                 self._changing.speeds(self._profile, some),
             )  # fmt: skip

@@ -8,18 +8,61 @@ from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
 from can_rig.scenario.build import (
     continuous_design,
-    controller_table,
-    mismatch,
     other_plants,
-    sources_of_table,
     target,
+    uncertain_keys,
 )
 from can_rig.scenario.driving import design_speeds, frozen
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
-from firmware_model.design.mismatch import Mismatch
+from firmware_model.design.mismatch import Mismatch, principal_mismatch
+from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.schedules import AtSpeed, Scheduled, schedule
+from firmware_model.discretisation.tables import build
 from firmware_model.errors import DesignError
+from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS
+from firmware_model.law.layout import Table
+from firmware_model.law.structs import FloatArray
+
+MOST_TABLES = 16  # limit of the cache
+
+
+def controller_table(scenario: Scenario, network: Network | None) -> Table:
+    """The constant table of the scenario's controller on ``network`` (None: without frames).
+
+    Raises:
+        ScenarioError: a failing design or discretisation.
+    """
+    return _table(scenario, network).copy()
+
+
+def sources_of_table(scenario: Scenario, network: Network | None) -> tuple[object, ...]:
+    """Every setting of the controller's table; faults, noise and references have no influence."""
+    return target(scenario, network), scenario.model, scenario.design, scenario.budget
+
+
+@remembered(MOST_TABLES, by=sources_of_table)
+def _table(scenario: Scenario, network: Network | None) -> Table:
+    try:
+        place = replace(target(scenario, network), mismatch=mismatch(scenario))
+        return build(continuous_design(scenario), place)
+    except DesignError as error:
+        raise ScenarioError(f"scenario {scenario.name}: {error}") from None
+
+
+def mismatch(scenario: Scenario) -> Mismatch:
+    """The plants beside the model, along the principal directions of the budget's box."""
+    chosen = scenario.design
+    keys, late = uncertain_keys(scenario)
+    other = other_plants(scenario)
+
+    def channels(place: FloatArray) -> tuple[ZeroPoleGain, ZeroPoleGain]:
+        plant = other(place)
+        return plant.g1, plant.g2
+
+    return principal_mismatch(
+        channels, len(keys) + late, chosen.tau_q_s, chosen.alpha_q, MAX_DIRECTIONS
+    )
 
 
 def controls(scenario: Scenario, network: Network | None) -> Scheduled:

@@ -10,8 +10,9 @@ the plant's own ``follow``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
@@ -34,6 +35,7 @@ from firmware_model.analysis.loop import (
     tick,
 )
 from firmware_model.analysis.sampled_plant import AnyPlant, SampledPlant, follow
+from firmware_model.analysis.world_loop import run_changing
 from firmware_model.law import controller as law
 from firmware_model.law.further_sensors import hear_first
 from firmware_model.law.knowledge import saved_in
@@ -77,10 +79,15 @@ class LoopPlant(AnyPlant, Protocol):
     """A plant that advances together with the loop, in compiled code."""
 
     def run_loop(
-        self, loop: Any, begin: int, end: int, output: tuple[float, float]
+        self,
+        loop: Callable[..., tuple[float, float]],
+        begin: int,
+        end: int,
+        output: tuple[float, float],
     ) -> tuple[float, float]:
-        """Advance loop and plant from the loop's tick ``begin`` to ``end``; see ``world_loop``.
+        """Advance loop and plant from the loop's tick ``begin`` to ``end``.
 
+        ``loop`` is ``world_loop.run_changing`` with the first argument given;
         ``output`` and the result are those of ``follow``.
         """
 
@@ -265,7 +272,8 @@ class Simulation:
             return
         if isinstance(plant, LoopPlant) and ours and self._speed is None:
             if end > self.done:
-                self._output = plant.run_loop(self._loop, self.done, end, self._output)
+                loop = partial(run_changing, self._loop)
+                self._output = plant.run_loop(loop, self.done, end, self._output)
                 self.done = end
             return
         effectiveness, sensed = self.inputs[3], plant if isinstance(plant, SensedPlant) else None
