@@ -21,7 +21,7 @@ from can_rig.folders import Kind, refuse_folder, whole_folder
 from can_rig.frames.codec import MessageCodec, RigLayout
 from can_rig.frames.network import Network
 from can_rig.scenario.build import dbc_of, network_of, require_ours
-from can_rig.scenario.driving import controls
+from can_rig.scenario.controls import controls
 from can_rig.scenario.sensor_settings import HEARD
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import Precision

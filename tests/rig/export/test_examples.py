@@ -17,7 +17,7 @@ from can_rig.assessment.resolve import load
 from can_rig.export.application import application, exported, write
 from can_rig.export.boards import emulated, image_of
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving import controls
+from can_rig.scenario.controls import controls
 from firmware_model.firmware import Firmware
 from tests.rig.export.shared import EMULATED, STRICT, log_of, run
 

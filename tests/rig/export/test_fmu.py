@@ -18,7 +18,8 @@ import can_rig
 from can_rig.errors import ExportError, LogError
 from can_rig.export.fmu import write_fmu
 from can_rig.results.run_folder import LOG
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.controls import controller_table
 from firmware_model.firmware import Firmware
 from tests.helpers import asked
 from tests.rig.export.shared import STRICT, run
