@@ -32,7 +32,8 @@ from can_rig.nodes.processes import run_processes
 from can_rig.nodes.recording import CandumpLines, Recorder
 from can_rig.nodes.runner import RunOptions, run_in_process
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.controls import controller_table
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 
@@ -133,17 +134,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     kinds = ("loop", "decode", "filter")
     parser.add_argument("what", nargs="?", choices=kinds, default="loop")
-    parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds [5]")
+    parser.add_argument("--rounds", type=int, default=3, help="interleaved rounds [3]")
     parser.add_argument("--seconds", type=float, default=5.0, help="loop: simulated time a run [5]")
     parser.add_argument(
-        "--frames", type=int, default=1_000_000, help="decode: length of the log [1000000]"
+        "--frames", type=int, default=100_000, help="decode: length of the log [100000]"
+    )
+    parser.add_argument(
+        "--dbc", type=Path, help="decode: random frames of this database [the rig's]"
     )
     parser.add_argument("--filters", type=int, default=1000, help="filter: random ones [1000]")
     options = parser.parse_args()
     if options.what == "decode":
         from bench_decode import bench_decode  # noqa: PLC0415 (asammdf is slow to import)
 
-        bench_decode(options.frames, options.rounds)
+        bench_decode(options.frames, options.rounds, options.dbc)
     elif options.what == "filter":
         from bench_filter import bench_filter  # noqa: PLC0415 (as above)
 

@@ -1,7 +1,8 @@
 """Rates of decoding a log, ours beside python-can with cantools, and beside asammdf.
 
 All in one process and in CPU time, interleaved, medians. The log is a
-run of the rig, repeated; every frame passes the checks.
+run of the rig, repeated, in which every frame passes the checks; or
+frames with random bytes, of all messages of a database in turn.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,21 +21,25 @@ import asammdf
 import can
 import numpy as np
 from asammdf.blocks.utils import load_can_database
-from cantools.database.can import Database
+from cantools.database import DecodeError
+from cantools.database.can import Database, Message
 from rich.console import Console
 from rich.table import Table
 
 from can_rig.assessment.resolve import load
+from can_rig.cli.output import counting
 from can_rig.controllers.our_law import PYTHON
 from can_rig.decoding.decode import decode_log
 from can_rig.frames.databases import load_database, shipped_dbc
 from can_rig.logs.formats.candump import candump_lines
-from can_rig.logs.frames import concatenate
+from can_rig.logs.frames import CLASSIC_BYTES, EXTENDED, FD, FD_BYTES, Frames, concatenate
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 
+PAYLOADS = 16  # of each message
+TRIES = 100 * PAYLOADS  # for those payloads
 RUN_S = 15.0  # whole cycles of the alive counter, so that a repetition loses no frame
 
 
@@ -49,6 +55,48 @@ def repeated_run(folder: Path, frames: int) -> Path:
             later = replace(run, time_ns=run.time_ns + repetition * round(RUN_S * 1e9))
             file.writelines(candump_lines(later))
     return path
+
+
+def random_log(folder: Path, frames: int, database: Database) -> Path:
+    """A candump log of at least so many frames, every 0.1 ms the next message of the database."""
+    chosen = [(message, payloads(message)) for message in database.messages]
+    chosen = [(message, made) for message, made in chosen if made]
+    if not chosen:
+        raise SystemExit("cantools reads no frame of this database")
+    turn = [(message, made[k % len(made)]) for k in range(PAYLOADS) for message, made in chosen]
+    turn *= -(-frames // len(turn))
+    width = FD_BYTES if any(len(data) > CLASSIC_BYTES for _, data in turn) else CLASSIC_BYTES
+    flags = [
+        EXTENDED * message.is_extended_frame | FD * (len(data) > CLASSIC_BYTES)
+        for message, data in turn
+    ]
+    log = Frames(
+        time_ns=np.arange(len(turn)) * 100_000,
+        arbitration_id=np.array([message.frame_id for message, _ in turn], np.uint32),
+        flags=np.array(flags, np.uint8),
+        channel=np.zeros(len(turn), np.uint8),
+        length=np.array([len(data) for _, data in turn], np.uint8),
+        data=np.array([list(data.ljust(width, b"\0")) for _, data in turn], np.uint8),
+        channels=("can0",),
+    )
+    path = folder / "bench.log"
+    with path.open("w", encoding="ascii") as file:
+        file.writelines(candump_lines(log))
+    return path
+
+
+def payloads(message: Message) -> list[bytes]:
+    """Random bytes that cantools decodes: not every multiplexer value has signals."""
+    made: list[bytes] = []
+    random = np.random.default_rng(message.frame_id)
+    for _ in range(TRIES):
+        data = random.bytes(message.length)
+        with suppress(DecodeError):
+            message.decode(data, decode_choices=False)
+            made.append(data)
+        if len(made) == PAYLOADS:
+            break
+    return made
 
 
 def by_python_can_and_cantools(path: Path, database: Database) -> dict[str, np.ndarray]:
@@ -86,13 +134,19 @@ def seconds(action: Callable[[], object]) -> float:
     return time.process_time() - start
 
 
-def bench_decode(frames: int, rounds: int) -> None:
-    """Print the table."""
-    dbc = shipped_dbc("steer_by_wire.dbc")
-    database, matrix = load_database(dbc), load_can_database(dbc)
+def bench_decode(frames: int, rounds: int, dbc: Path | None) -> None:
+    """Print the table; ``dbc`` None: of the rig's own frames."""
+    if dbc is None:
+        database = load_database(shipped_dbc("steer_by_wire.dbc"))
+    else:
+        database = load_database(dbc, strict=False)
+    matrix = load_can_database(dbc or shipped_dbc("steer_by_wire.dbc"))
     with tempfile.TemporaryDirectory() as name:
-        candump = repeated_run(Path(name), frames)
-        frames = sum(map(len, read_log(candump)))
+        if dbc is None:
+            candump = repeated_run(Path(name), frames)
+        else:
+            candump = random_log(Path(name), frames, database)
+        log = concatenate(read_log(candump))
         pairs: dict[str, tuple[str, Callable[[], object], Callable[[], object]]] = {}
         for suffix in (".log", ".asc", ".blf", ".trc", ".mf4"):
             path = candump.with_suffix(suffix)
@@ -106,14 +160,17 @@ def bench_decode(frames: int, rounds: int) -> None:
             )
             pairs[suffix] = other, theirs_once, partial(ours, path, database)
         timings: dict[str, list[tuple[float, float]]] = {suffix: [] for suffix in pairs}
-        for _ in range(rounds):
-            for suffix, (_, theirs, mine) in pairs.items():
-                timings[suffix].append((seconds(theirs), seconds(mine)))
+        with counting("measuring", "logs", rounds * len(pairs)) as measured:
+            for done in range(rounds):
+                for nth, (suffix, (_, theirs, mine)) in enumerate(pairs.items()):
+                    measured(done * len(pairs) + nth)
+                    timings[suffix].append((seconds(theirs), seconds(mine)))
     table = Table("log", "beside", "its frames/s", "can-rig's frames/s", "times", box=None)
     for suffix, taken_s in timings.items():
-        rates = [frames / statistics.median(column) for column in zip(*taken_s, strict=True)]
+        rates = [len(log) / statistics.median(column) for column in zip(*taken_s, strict=True)]
         ratio = statistics.median(theirs / mine for theirs, mine in taken_s)
         table.add_row(suffix, pairs[suffix][0], *(f"{r:,.0f}" for r in rates), f"{ratio:.1f}")
     console = Console()
-    console.print(f"{frames:,} frames of 5 messages, {rounds} rounds, CPU time", highlight=False)
+    what = f"{len(log):,} frames of {len(np.unique(log.arbitration_id))} messages"
+    console.print(f"{what}, {rounds} rounds, CPU time", highlight=False)
     console.print(table)

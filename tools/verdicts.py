@@ -25,7 +25,8 @@ from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import StabilityCheck, check_stability
 from can_rig.errors import RigError
 from can_rig.plant.frameless import frameless
-from can_rig.scenario.build import continuous_plant, controller_table, network_of, target
+from can_rig.scenario.build import continuous_plant, network_of, target
+from can_rig.scenario.controls import controller_table
 from can_rig.scenario.settings import LimitSettings, Scenario
 from firmware_model.law.structs import FloatArray
 

@@ -28,7 +28,8 @@ from can_rig.drawing.names import CAR, Names, names_of, with_unit
 from can_rig.frames.network import Network
 from can_rig.plant.frameless import Inputs, frameless, frameless_loop, inputs_of
 from can_rig.scenario.box import in_box, uncertain, with_lags
-from can_rig.scenario.build import continuous_plant, controller_table, slowness, target
+from can_rig.scenario.build import continuous_plant, slowness, target
+from can_rig.scenario.controls import controller_table
 from can_rig.scenario.fault_settings import CHANNELS, Channel, FaultSettings
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import LimitSettings, Scenario

@@ -20,7 +20,8 @@ from can_rig.assessment.stability import (
 )
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant, network_of
-from can_rig.scenario.driving import controls, designed_for, frozen, speed_profile
+from can_rig.scenario.controls import controls
+from can_rig.scenario.driving import designed_for, frozen, speed_profile
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, Margins
 from firmware_model.analysis.speed_sweep import SpeedSweep, sweep

@@ -39,14 +39,8 @@ from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
 from can_rig.plant.frameless import linear_law_of
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario.build import (
-    continuous_design,
-    continuous_plant,
-    controller_table,
-    network_of,
-    slowness,
-    target,
-)
+from can_rig.scenario.build import continuous_design, continuous_plant, network_of, slowness, target
+from can_rig.scenario.controls import controller_table
 from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import BudgetSettings, Scenario

@@ -6,7 +6,7 @@ import math
 
 from can_rig.controllers.protocol import Answer, InNode, Inputs, NodeController, samples_in
 from can_rig.frames.network import Network
-from can_rig.scenario.driving import controls
+from can_rig.scenario.controls import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Firmware, Law
 

@@ -62,7 +62,7 @@ BOARDS: Final = {
 }
 FLAGS: Final = (
     "-std=c99", "-O2", "-ffp-contract=off", "-mthumb", "-mfloat-abi=hard", "-fdata-sections",
-    "-ffunction-sections", "-fno-math-errno",
+    "-ffunction-sections", "-fno-math-errno", "-g",
 )  # fmt: skip
 LINKED: Final = ("-nostartfiles", "-Wl,--gc-sections", "-Tmps2.ld")
 
@@ -77,8 +77,10 @@ def firmware_image(scenario: Scenario, board: str) -> Path:
     return image_of(node | bench(node), "board_ecu.c", board)
 
 
-def image_of(files: Mapping[str, str], program: str, board: str) -> Path:
+def image_of(files: Mapping[str, str], program: str | None, board: str) -> Path:
     """A program for ``board`` from ``files`` and ``program``, the source of ``main``.
+
+    None: ``files`` have a ``main``.
 
     Raises:
         ExportError: a tool is missing, or refuses.
@@ -89,7 +91,7 @@ def image_of(files: Mapping[str, str], program: str, board: str) -> Path:
     single = "typedef float real;" in files["real.h"]
     numbers = numbers_of("float32" if single else "float64")
     added = (program, "host.h", "host.c", "startup.c", "mps2.ld")
-    around = {name: support(name, parts_of(files), **numbers) for name in added}
+    around = {name: support(name, parts_of(files), **numbers) for name in added if name}
     return built([COMPILER], (*FLAGS, *BOARDS[board].flags, *LINKED), {**files, **around}, ".elf")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Final
 
 from firmware_model.law.status import Verdict
-from firmware_model.law.supervision.verdict import HYPOTHESES
 
 ON_THE_BUS: Final = (
     "time_s",
@@ -25,7 +24,9 @@ SPEED: Final = "speed_mps"
 """Speed of the car, if the plant has a drive."""
 VERDICT: Final = "verdict"
 EVIDENCE_OF: Final = "evidence_"
-EVIDENCE: Final = tuple(EVIDENCE_OF + fault.name.lower() for fault in list(Verdict)[1:HYPOTHESES])
+EVIDENCE: Final = tuple(
+    EVIDENCE_OF + fault.name.lower() for fault in list(Verdict)[1:] if fault <= Verdict.ANOTHER_CAR
+)
 """Evidence for each fault hypothesis, ordered by the number of the verdict, from 1 on."""
 
 TAKEN: Final = (*ON_THE_BUS, TRUE_OUTPUT, *APPLIED, SPEED, VERDICT, *EVIDENCE)

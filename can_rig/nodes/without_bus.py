@@ -30,8 +30,7 @@ from can_rig.plant.witnesses import Sensed, hearing_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.fault_settings import Outage
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.simulation import BoolArray
-from firmware_model.law.structs import FloatArray
+from firmware_model.law.structs import BoolArray, FloatArray
 
 
 def run_without_bus(

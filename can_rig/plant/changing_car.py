@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from collections.abc import Callable, Iterator, Mapping
+from typing import Final
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from firmware_model.analysis.changing_plant import (
     specific_force,
 )
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.world_loop import run_changing
 from firmware_model.design.vehicle import GRAVITY_MPS2
 from firmware_model.law.structs import FloatArray
 
@@ -162,7 +161,11 @@ class ChangingCar:
         return within
 
     def run_loop(
-        self, loop: Any, begin: int, end: int, output: tuple[float, float]
+        self,
+        loop: Callable[..., tuple[float, float]],
+        begin: int,
+        end: int,
+        output: tuple[float, float],
     ) -> tuple[float, float]:
         """See ``simulation.LoopPlant``."""
         ahead = self._tick - begin
@@ -170,8 +173,8 @@ class ChangingCar:
             world = NO_WORLD
             if self._world is not None:
                 world = self._world.at(range(some.start, some.stop + 1))
-            output = run_changing(
-                loop, some.start - ahead, some.stop - ahead, *output, self._constants,
+            output = loop(
+                some.start - ahead, some.stop - ahead, *output, self._constants,
                 self._car.memory, ahead, world, self._work,
                 self._changing.speeds(self._profile, some),
             )  # fmt: skip

@@ -26,7 +26,8 @@ from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import noise
 from can_rig.plant.witnesses import PlantRead, Sensed, frame_row
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving import controls, speeds_at_ticks
+from can_rig.scenario.controls import controls
+from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.fault_settings import PLACES, RESTARTED
 from can_rig.scenario.reference import reference
 from can_rig.scenario.remembered import remembered, state_of_file

@@ -25,8 +25,8 @@ from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.simulation import BoolArray, Simulation
-from firmware_model.law.structs import FloatArray
+from firmware_model.analysis.simulation import Simulation
+from firmware_model.law.structs import BoolArray, FloatArray
 
 Values = TypeVar("Values", FloatArray, BoolArray)
 

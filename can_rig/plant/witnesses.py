@@ -24,7 +24,7 @@ from can_rig.plant.sensor import NoiseColumns
 from can_rig.scenario.sensor_settings import ECHOES, MEASURED, SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import GRID, frame_of
-from firmware_model.analysis.simulation import AnyPlant
+from firmware_model.analysis.sampled_plant import AnyPlant
 from firmware_model.analysis.witnesses import HEALTHY, NOT_SENT, VALID, sense
 from firmware_model.law.structs import FloatArray
 

@@ -37,7 +37,8 @@ from can_rig.logs.frames import NS_PER_S
 from can_rig.replaying.recorded_drive import Buses, Drive, recorded_drive
 from can_rig.results.source import Reading, Source
 from can_rig.scenario.build import require_ours
-from can_rig.scenario.driving import controls, design_speeds
+from can_rig.scenario.controls import controls
+from can_rig.scenario.driving import design_speeds
 from can_rig.scenario.log_signals import MPS2, NM, ROLES, N
 from can_rig.scenario.settings import (
     FASTEST_MPS,

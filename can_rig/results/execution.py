@@ -33,7 +33,7 @@ from can_rig.results.metrics import Metrics
 from can_rig.results.run_folder import LOG, REFERENCE, RUN_FOLDER, Outcome, finish
 from can_rig.results.source import happened
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving import controls
+from can_rig.scenario.controls import controls
 from can_rig.scenario.reference import refuse_saturation
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 

@@ -17,7 +17,8 @@ from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.logs.columns import EVIDENCE, VERDICT
 from can_rig.results.signals import Signals
-from can_rig.scenario.driving import controls, speeds_at_ticks
+from can_rig.scenario.controls import controls
+from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 from firmware_model.law.status import Verdict

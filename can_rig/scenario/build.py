@@ -1,4 +1,4 @@
-"""Plant, design, target and table of a scenario, for the firmware and for the figures."""
+"""Plant, design and target of a scenario, for the firmware and for the figures."""
 
 from __future__ import annotations
 
@@ -21,17 +21,12 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
-from firmware_model.design.mismatch import Mismatch, principal_mismatch
 from firmware_model.design.vehicle import GRAVITY_MPS2
-from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Reporting, Target, Witness
 from firmware_model.errors import DesignError
-from firmware_model.law.layout import Table
 from firmware_model.law.structs import FloatArray
-from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
 
-MOST_PLANTS, MOST_TABLES = 64, 16  # limits of the caches; a box has 40 cars
+MOST_PLANTS = 64  # limit of the caches; a box has 40 cars
 
 GOVERNED = 0.5  # share of the motor's limit granted to the second derivative of D*
 CAR_DECAYS_PER_S = 3.5  # the slowest mode of the car's F̂
@@ -293,30 +288,15 @@ def _witness(scenario: Scenario) -> Witness | None:
         for figure in (each.noise_rms, each.step)
     ]
     lag_s = (1.0 - weight) * turning.lag_s + weight * lateral.lag_s
-    keys, _ = _uncertain(scenario)
+    keys, _ = uncertain_keys(scenario)
     doubt = scenario.budget.box if "speed_mps" in keys else 0.0
     return Witness(weight, speed, lag_s, math.hypot(*parts), doubt)
-
-
-def mismatch(scenario: Scenario) -> Mismatch:
-    """The plants beside the model, along the principal directions of the budget's box."""
-    chosen = scenario.design
-    keys, late = _uncertain(scenario)
-    other = other_plants(scenario)
-
-    def channels(place: FloatArray) -> tuple[ZeroPoleGain, ZeroPoleGain]:
-        plant = other(place)
-        return plant.g1, plant.g2
-
-    return principal_mismatch(
-        channels, len(keys) + late, chosen.tau_q_s, chosen.alpha_q, MAX_DIRECTIONS
-    )
 
 
 def other_plants(scenario: Scenario) -> Callable[[FloatArray], plants.Plant]:
     """The plant at a place of the budget's box, shape (k,), -1..1 across it."""
     model, budget = scenario.model, scenario.budget
-    keys, late = _uncertain(scenario)
+    keys, late = uncertain_keys(scenario)
 
     def plant(place: FloatArray) -> plants.Plant:
         other = in_box(
@@ -329,7 +309,7 @@ def other_plants(scenario: Scenario) -> Callable[[FloatArray], plants.Plant]:
     return plant
 
 
-def _uncertain(scenario: Scenario) -> tuple[tuple[str, ...], bool]:
+def uncertain_keys(scenario: Scenario) -> tuple[tuple[str, ...], bool]:
     """The varying parameters of the budget's box by key, and whether actuator lags vary."""
     budget, model = scenario.budget, scenario.model
     keys = tuple(uncertain(model)) if budget.box > 0.0 else ()
@@ -352,26 +332,3 @@ def reference_acceleration(scenario: Scenario) -> float:
     if limits.torque_rate_nm_per_s is not None:
         torque = min(torque, limits.torque_rate_nm_per_s * scenario.design.tau_q_s)
     return GOVERNED * torque * abs(g1.gain)
-
-
-def controller_table(scenario: Scenario, network: Network | None) -> Table:
-    """The constant table of the scenario's controller on ``network`` (None: without frames).
-
-    Raises:
-        ScenarioError: a failing design or discretisation.
-    """
-    return _table(scenario, network).copy()
-
-
-def sources_of_table(scenario: Scenario, network: Network | None) -> tuple[object, ...]:
-    """Every setting of the controller's table; faults, noise and references have no influence."""
-    return target(scenario, network), scenario.model, scenario.design, scenario.budget
-
-
-@remembered(MOST_TABLES, by=sources_of_table)
-def _table(scenario: Scenario, network: Network | None) -> Table:
-    try:
-        place = replace(target(scenario, network), mismatch=mismatch(scenario))
-        return build(continuous_design(scenario), place)
-    except DesignError as error:
-        raise ScenarioError(f"scenario {scenario.name}: {error}") from None

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from scipy import linalg
@@ -26,6 +26,19 @@ from firmware_model.errors import ParameterError
 from firmware_model.law.structs import FloatArray
 
 WHOLE = 1e-9  # of a tick: tolerance for a whole number of ticks
+
+
+class AnyPlant(Protocol):
+    """A plant behind its actuators and sensor, at rest when it is given to ``simulate``."""
+
+    def follow(
+        self, command_1: float, command_2: float, left_1: float, left_2: float
+    ) -> tuple[float, float]:
+        """Advance by a tick; return the output before the sensor and the sensor's reading.
+
+        The commands reach the actuators now; ``left_1`` and ``left_2`` are the remaining
+        effectiveness.
+        """
 
 
 @dataclass(frozen=True)

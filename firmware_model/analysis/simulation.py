@@ -10,8 +10,9 @@ the plant's own ``follow``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
@@ -33,16 +34,15 @@ from firmware_model.analysis.loop import (
     run_ticks,
     tick,
 )
-from firmware_model.analysis.sampled_plant import SampledPlant, follow
+from firmware_model.analysis.sampled_plant import AnyPlant, SampledPlant, follow
+from firmware_model.analysis.world_loop import run_changing
 from firmware_model.law import controller as law
 from firmware_model.law.layout import Table, precision_of, table_type
 from firmware_model.law.schedule import Constants, change_first_speed
 from firmware_model.law.schedule import State as BlendState
-from firmware_model.law.structs import FloatArray, RecordArray, record_type
+from firmware_model.law.structs import BoolArray, FloatArray, RecordArray, record_type
 from firmware_model.law.supervision.further_sensors import hear_first
 from firmware_model.law.supervision.knowledge import saved_in
-
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -74,28 +74,20 @@ class Trace:
 Vectors = tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]
 
 
-class AnyPlant(Protocol):
-    """A plant behind its actuators and sensor, at rest when it is given to ``simulate``."""
-
-    def follow(
-        self, command_1: float, command_2: float, left_1: float, left_2: float
-    ) -> tuple[float, float]:
-        """Advance by a tick; return the output before the sensor and the sensor's reading.
-
-        The commands reach the actuators now; ``left_1`` and ``left_2`` are the remaining
-        effectiveness.
-        """
-
-
 @runtime_checkable
 class LoopPlant(AnyPlant, Protocol):
     """A plant that advances together with the loop, in compiled code."""
 
     def run_loop(
-        self, loop: Any, begin: int, end: int, output: tuple[float, float]
+        self,
+        loop: Callable[..., tuple[float, float]],
+        begin: int,
+        end: int,
+        output: tuple[float, float],
     ) -> tuple[float, float]:
-        """Advance loop and plant from the loop's tick ``begin`` to ``end``; see ``world_loop``.
+        """Advance loop and plant from the loop's tick ``begin`` to ``end``.
 
+        ``loop`` is ``world_loop.run_changing`` with the first argument given;
         ``output`` and the result are those of ``follow``.
         """
 
@@ -280,7 +272,8 @@ class Simulation:
             return
         if isinstance(plant, LoopPlant) and ours and self._speed is None:
             if end > self.done:
-                self._output = plant.run_loop(self._loop, self.done, end, self._output)
+                loop = partial(run_changing, self._loop)
+                self._output = plant.run_loop(loop, self.done, end, self._output)
                 self.done = end
             return
         effectiveness, sensed = self.inputs[3], plant if isinstance(plant, SensedPlant) else None

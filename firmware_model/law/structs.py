@@ -24,6 +24,7 @@ MAX_SHOWN_TICKS = 2 * MAX_LATENCY_TICKS  # of the bus, and of a dead time
 
 Precision = Literal["float64", "float32"]
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 RecordArray = Any  # an array of records, shape (n,)
 
 

@@ -21,7 +21,8 @@ from can_rig.campaigns.settings import read_campaign
 from can_rig.cli.main import main
 from can_rig.plant.protocol import PlantProtocol, load_plant
 from can_rig.results.execution import refuse
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.controls import controller_table
 from can_rig.scenario.plant_settings import PlantSettings
 from tests.project.pages import PAGES, ROOT, blocks, command_lines, prose, text_of
 

@@ -9,11 +9,13 @@ import pytest
 
 from tests.project.pages import ROOT
 
-SHORTEST: dict[str, tuple[str, ...]] = {
-    "bench": ("loop", "--rounds=1", "--seconds=0.1"),
-    "verdicts": ("--scenarios=1",),
+OWN_FRAMES = "--dbc=tests/rig/own_frames/motorola.dbc"
+SHORTEST = {
+    ("bench", "loop", "--rounds=1", "--seconds=0.1"),
+    ("bench", "decode", "--rounds=1", "--frames=2000", OWN_FRAMES),
+    ("verdicts", "--scenarios=1"),
 }
-"""10 s of a processor together; every other form of ``bench`` takes as much or more."""
+"""Tools with their arguments."""
 
 ELSEWHERE = {
     "against_libraries": "tests/rig/logs/test_against_libraries.py",
@@ -39,13 +41,14 @@ NOT_TESTED = {
 
 def test_each_tool_is_run_here_or_there_or_has_a_reason() -> None:
     tools = {path.name for path in (ROOT / "tools").iterdir() if path.is_file() and not path.suffix}
-    assert tools == SHORTEST.keys() | ELSEWHERE.keys() | NOT_TESTED.keys()
+    assert tools == {tool for tool, *_ in SHORTEST} | ELSEWHERE.keys() | NOT_TESTED.keys()
     assert all((ROOT / page).is_file() for page in ELSEWHERE.values())
 
 
-@pytest.mark.parametrize("tool", SHORTEST)
-def test_a_tool_ends_well(tool: str) -> None:
-    command = [sys.executable, f"tools/{tool}.py", *SHORTEST[tool]]
+@pytest.mark.parametrize("words", sorted(SHORTEST))
+def test_a_tool_ends_well(words: tuple[str, ...]) -> None:
+    tool, *arguments = words
+    command = [sys.executable, f"tools/{tool}.py", *arguments]
     done = subprocess.run(
         command, cwd=ROOT, check=False, capture_output=True, text=True, timeout=300
     )

@@ -9,16 +9,28 @@ extern uint8_t data_start, data_end, data_load, bss_start, bss_end;
 int main(void);
 void reset(void);
 void fault(void);
+void pend_sv(void);
+void sys_tick(void);
 
 __attribute__((section(".vectors"), used)) static const void *const vectors[16] = {
     &stack_top,    (void *)reset, (void *)fault, (void *)fault,
-    (void *)fault, (void *)fault, (void *)fault,
+    (void *)fault, (void *)fault, (void *)fault,   [14] = (void *)pend_sv, (void *)sys_tick,
 };
 
 void fault(void)
 {
     for (;;) {
     }
+}
+
+__attribute__((weak)) void pend_sv(void)
+{
+    fault();
+}
+
+__attribute__((weak)) void sys_tick(void)
+{
+    fault();
 }
 
 void reset(void)

@@ -24,7 +24,7 @@ from can_rig.frames.network import Network
 from can_rig.scenario.fault_settings import FaultSettings, Outage
 from can_rig.scenario.sensor_settings import SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.simulation import BoolArray
+from firmware_model.law.structs import BoolArray
 
 SENSOR_PLACE: Final = 2
 """Place number of the D* frame, behind both commands."""

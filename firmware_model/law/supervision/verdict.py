@@ -70,7 +70,7 @@ TORQUE_LOST, TORQUE_OFFSET = int(Verdict.TORQUE_LOST), int(Verdict.TORQUE_OFFSET
 FORCE_LOST, BOTH_LOST = int(Verdict.FORCE_LOST), int(Verdict.BOTH_LOST)
 SENSOR_WRONG, SENSOR_DRIFTING = int(Verdict.SENSOR_WRONG), int(Verdict.SENSOR_DRIFTING)
 SENSOR_FROZEN, ANOTHER_CAR = int(Verdict.SENSOR_FROZEN), int(Verdict.ANOTHER_CAR)
-HYPOTHESES = 8  # NOTHING (evidence 0), the faults, ANOTHER_CAR
+HYPOTHESES = 8  # to ANOTHER_CAR; NOTHING has evidence 0
 
 
 class Constants(Struct):

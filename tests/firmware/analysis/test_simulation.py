@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +13,6 @@ from firmware_model.analysis.changing_plant import changing_plant, follow_changi
 from firmware_model.analysis.hardware import EXACT_FRAMES, GAIN, HEALTHY, SENSOR, SLEW, frame_of
 from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, sample
 from firmware_model.analysis.simulation import Simulation, Trace, simulate
-from firmware_model.analysis.world_loop import run_changing
 from firmware_model.design.actuator_dynamics import IDEAL
 from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.discretisation.tables import build
@@ -301,12 +301,14 @@ class Pushed:
         )
 
     def run_loop(
-        self, loop: Any, begin: int, end: int, output: tuple[float, float]
+        self,
+        loop: Callable[..., tuple[float, float]],
+        begin: int,
+        end: int,
+        output: tuple[float, float],
     ) -> tuple[float, float]:
         world, speeds = self.world[begin : end + 1], self.speeds[begin:end]
-        return run_changing(
-            loop, begin, end, *output, self.constants, self.memory, 0, world, self.work, speeds
-        )
+        return loop(begin, end, *output, self.constants, self.memory, 0, world, self.work, speeds)
 
 
 class OneByOne:

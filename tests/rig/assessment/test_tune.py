@@ -27,7 +27,8 @@ from can_rig.assessment.tuning.candidate import (
 )
 from can_rig.assessment.tuning.report import as_dict, options, rows
 from can_rig.assessment.tuning.search import LONGEST_FRONT, Tunings, tune
-from can_rig.scenario.build import continuous_plant, controller_table
+from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.controls import controller_table
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, delay_margins, law_in
 from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop

@@ -18,7 +18,8 @@ from can_rig.assessment.tuning.search import tune
 from can_rig.errors import ScenarioError
 from can_rig.plant.frameless import frameless
 from can_rig.results.counterfactual import signals_without_log
-from can_rig.scenario.build import continuous_plant, controller_table, network_of
+from can_rig.scenario.build import continuous_plant, network_of
+from can_rig.scenario.controls import controller_table
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
 from firmware_model.analysis.sampled_plant import sample

@@ -22,7 +22,8 @@ from can_rig.plant.frameless import frameless
 from can_rig.results.counterfactual import loop_of, signals_without_log
 from can_rig.results.metrics import metrics_of
 from can_rig.scenario import shipped
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.controls import controller_table
 
 MIXED: dict[str, Any] = {
     "settings": {"duration_s": 0.2, "fault.at_s": 0.1, "fault.value": 3.0},

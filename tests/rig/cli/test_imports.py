@@ -23,6 +23,8 @@ except SystemExit as end:
 TABLES = {"asammdf", "pandas", "pyarrow"}
 PICTURES = {"matplotlib", "control"}
 SOLVERS = {"scipy.signal", "scipy.optimize"}
+LAW = {"firmware_model.law.controller", "firmware_model.discretisation.tables"}
+"""What a plant node does without, so that a second plant on a bus is named at once."""
 NUMBERS = {"numpy", "scipy", "numba", "pydantic", "can", "cantools"}
 
 
@@ -43,6 +45,7 @@ def imported_by(*arguments: str) -> set[str]:
         ),
         (["bus"], TABLES | PICTURES | SOLVERS),
         (["run", "--help"], TABLES | PICTURES | SOLVERS),
+        (["plant", "--help"], TABLES | PICTURES | SOLVERS | LAW),
     ],
 )
 def test_a_light_command_imports_nothing_heavy(arguments: list[str], without: set[str]) -> None:

@@ -30,8 +30,9 @@ from can_rig.results.execution import Options, execute, refuse
 from can_rig.results.metrics import metrics_of
 from can_rig.results.signals import read_signals
 from can_rig.results.source import source_of
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import network_of
 from can_rig.scenario.controller_settings import PEERS
+from can_rig.scenario.controls import controller_table
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.comparisons import compare_scenario
 from firmware_model.analysis.read_off import read_off

@@ -38,7 +38,7 @@ from can_rig.export.trials import (
     trial_files,
 )
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving import controls
+from can_rig.scenario.controls import controls
 from firmware_model.firmware import Firmware, Law
 from firmware_model.law.layout import state_type, table_type
 from firmware_model.law.schedule import MAX_SPEEDS

@@ -20,7 +20,7 @@ from can_rig.export.compiler import built as compiled
 from can_rig.export.law import law_files
 from can_rig.export.trials import random_table
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving import controls
+from can_rig.scenario.controls import controls
 from firmware_model.firmware import Firmware
 from firmware_model.law.structs import Precision
 from tests.rig.export.conftest import SCENARIOS, Built

@@ -22,7 +22,7 @@ from can_rig.export.law import support
 from can_rig.export.self_test import LOST, RESTARTED, known_answers
 from can_rig.export.trials import as_orders, on_host
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving import controls
+from can_rig.scenario.controls import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 from tests.rig.export.conftest import SCENARIOS, Built

@@ -21,7 +21,7 @@ from can_rig.results.execution import Options, execute, two_processes
 from can_rig.results.metrics import metrics
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving import controls
+from can_rig.scenario.controls import controls
 from can_rig.scenario.fault_settings import FaultSettings, Outage, outages
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware

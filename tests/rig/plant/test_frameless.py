@@ -16,7 +16,8 @@ from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.frameless import frameless, inputs_of
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.signals import read_signals
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.controls import controller_table
 from can_rig.scenario.fault_settings import OF_FURTHER_SENSORS, PLACES, RESTARTED, FaultKind
 from can_rig.scenario.sensor_settings import ECHOES, MEASURED
 from firmware_model.analysis.simulation import Trace

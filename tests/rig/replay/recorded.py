@@ -17,7 +17,7 @@ from can_rig.controllers.our_law import in_node
 from can_rig.logs.reading import read_log
 from can_rig.replaying.replay import OpenLoop
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving import controls
+from can_rig.scenario.controls import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, ChangeSpeed, Hear, Law, Memories, Step
 from firmware_model.law.structs import RecordArray

@@ -20,7 +20,7 @@ from can_rig.results.isolation import CERTAIN, in_words, verdict_rows, whose_fau
 from can_rig.results.metrics import metrics_of
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving import controls
+from can_rig.scenario.controls import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law.status import FaultState, Mode, Verdict

@@ -10,11 +10,11 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.search import tune
 from can_rig.errors import ScenarioError
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.controls import controller_table, controls
 from can_rig.scenario.driving import (
     RATIO,
     at_speed_of,
-    controls,
     design_speeds,
     frozen,
     speed_profile,

@@ -15,7 +15,8 @@ from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario import shipped
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.controls import controller_table
 from can_rig.scenario.loading import draft
 from can_rig.scenario.plant_settings import BUILT_IN, PlantSettings
 from can_rig.scenario.settings import DesignSettings, Scenario

@@ -1,0 +1,45 @@
+/* The drivers of the examples, with recorded frames in the place of a bus. */
+#include "driver.h"
+
+#include <string.h>
+
+#include "host.h"
+
+#define LAST_US 1000u /* go on so long after the last frame */
+
+static int received;
+static int sent;
+static struct driver_frame next;
+static bool is_over;
+volatile uint32_t driver_now_us;
+
+void driver_start(void)
+{
+    received = host_open_to_read("received");
+    sent = host_open_to_write("sent");
+    is_over = !host_read(received, &next, sizeof next);
+}
+
+bool driver_step(void)
+{
+    driver_now_us += DRIVER_STEP_US;
+    return !is_over || driver_now_us < next.at_us + LAST_US;
+}
+
+bool driver_receive(struct driver_frame *frame)
+{
+    if (is_over || next.at_us > driver_now_us) {
+        return false;
+    }
+    *frame = next;
+    is_over = !host_read(received, &next, sizeof next);
+    return true;
+}
+
+void driver_send(uint16_t id, const uint8_t data[8])
+{
+    struct driver_frame frame = {.at_us = driver_now_us, .id = id, .length = 8};
+
+    (void)memcpy(frame.data, data, sizeof frame.data);
+    (void)host_write(sent, &frame, sizeof frame);
+}

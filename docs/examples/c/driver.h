@@ -1,0 +1,35 @@
+/* The drivers of the examples: a CAN controller and a clock.
+ *
+ * Recorded frames take the place of a bus: the files "received" and "sent" of the folder that the
+ * program, or the emulator of its board, was started in.
+ */
+#ifndef DRIVER_H
+#define DRIVER_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define DRIVER_STEP_US 100u
+
+/* A data frame, as the files have it. */
+struct driver_frame {
+    uint32_t at_us; /* when it was received */
+    uint16_t id;
+    uint8_t length;
+    uint8_t unused;
+    uint8_t data[8];
+};
+
+void driver_start(void);
+
+/* Go on by DRIVER_STEP_US; whether the recording is not over. */
+bool driver_step(void);
+
+/* The next frame that has come until now; whether there is one. */
+bool driver_receive(struct driver_frame *frame);
+
+void driver_send(uint16_t id, const uint8_t data[8]);
+
+extern volatile uint32_t driver_now_us;
+
+#endif

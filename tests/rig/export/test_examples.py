@@ -1,0 +1,151 @@
+"""The examples of ``docs/examples/c``: each answers recorded ticks as the law in Python does.
+
+On emulated boards, and on this computer as a user of CMake and of a Zephyr module builds them.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.export.application import application, exported, write
+from can_rig.export.boards import emulated, image_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.controls import controls
+from firmware_model.firmware import Firmware
+from tests.rig.export.shared import EMULATED, STRICT, log_of, run
+
+EXAMPLES = Path(__file__).parents[3] / "docs" / "examples" / "c"
+SETTINGS = [
+    "duration_s=0.2", "fault.kind=frames-missing", "fault.channel=sensor", "fault.at_s=0.1",
+    'design.precision="float32"',
+]  # fmt: skip
+SCENARIO = load("default", SETTINGS)
+SOURCES = {
+    "super_loop": ("super_loop.c", "driver.c", "driver.h"),
+    "tasks": ("tasks.c", "driver.c", "driver.h"),
+    "steering": ("steering.c", "rte_main.c", "Rte_Steering.h"),
+}
+BOARD = {"super_loop": "m4f", "tasks": "m7", "steering": "m4f"}
+
+
+def frames() -> tuple[bytes, list[tuple[int, bytes]]]:
+    """What the node receives, as ``struct driver_frame``, and what the law in Python sends."""
+    received, sent = b"", []
+    network = network_of(SCENARIO)
+    sends = {codec.frame_id for codec in (network.command_1, network.command_2, network.status)}
+    for line in log_of("default", SETTINGS).decode().splitlines():
+        at, _, frame, _ = line.split()
+        number, data = (each for each in frame.split("#"))
+        frame_id, payload = int(number, 16), bytes.fromhex(data)
+        if frame_id in sends:
+            sent.append((frame_id, payload))
+        elif not payload.endswith(b"\x00\x00\x00\x80"):  # a value, which needs a frame
+            at_us = round(float(at.strip("()")) * 1e6)
+            received += struct.pack("<IHBx8s", at_us, frame_id, 8, payload)
+    assert len(sent) == 3 * 200
+    assert len(received) == 16 * (200 + 100)  # the feedback of the last 100 ticks is missing
+    return received, sent
+
+
+def signals() -> tuple[bytes, bytes]:
+    """Reference and measurement of each tick, and the answers of the law in Python."""
+    inputs = np.array([[math.sin(k / 30), 0.9 * math.sin(k / 30 - 0.1)] for k in range(300)])
+    inputs[100, 0] = inputs[150:160, 1] = math.nan
+    firmware = Firmware(controls(SCENARIO, network_of(SCENARIO)).table)
+    firmware.begin()
+    answers = (firmware.step(*each) for each in inputs.tolist())
+    return inputs.tobytes(), b"".join(struct.pack("<3f3i", *each) for each in answers)
+
+
+def check(example: str, answered: bytes) -> None:
+    """Compare what an example has written with the law in Python."""
+    if example == "steering":
+        assert answered == signals()[1]
+    else:
+        found = [(frame[1], frame[4]) for frame in struct.iter_unpack("<IHBB8s", answered)]
+        assert found == frames()[1]
+
+
+def inputs_of(example: str) -> bytes:
+    """The file that an example reads."""
+    return signals()[0] if example == "steering" else frames()[0]
+
+
+@EMULATED
+@pytest.mark.parametrize("example", SOURCES)
+def test_on_a_board_it_answers_as_in_python(example: str) -> None:
+    main, *others = SOURCES[example]
+    files = {name: (EXAMPLES / name).read_text(encoding="utf-8") for name in (main, *others)}
+    image = image_of(application(SCENARIO) | files, None, BOARD[example])
+    answered = emulated(
+        image, BOARD[example], {"received": inputs_of(example)}, "sent",
+        "-icount", "shift=6,sleep=off",
+    )  # fmt: skip
+    check(example, answered)
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An export that ``cmake --install`` has put into a folder of its own."""
+    if shutil.which("cmake") is None:
+        pytest.skip("cmake is not installed")
+    place = tmp_path_factory.mktemp("cmake")
+    write(exported(SCENARIO), place / "controller", force=False)
+    run("cmake", "-S", place / "controller", "-B", place / "build")
+    run("cmake", "--build", place / "build", "--target", "firmware", "example", "self_test")
+    run("cmake", "--install", place / "build", "--prefix", place / "opt")
+    return place
+
+
+def test_find_package_finds_an_installed_export(installed: Path, tmp_path: Path) -> None:
+    """Without the folder that it was built in."""
+    (installed / "controller").rename(installed / "moved")
+    run("cmake", "-S", EXAMPLES, "-B", tmp_path, f"-DCMAKE_PREFIX_PATH={installed / 'opt'}",
+        f"-DCMAKE_C_FLAGS={' '.join(STRICT)}")  # fmt: skip
+    (installed / "moved").rename(installed / "controller")
+    run("cmake", "--build", tmp_path)
+    for example in ("super_loop", "steering"):
+        (tmp_path / "received").write_bytes(inputs_of(example))
+        run(tmp_path / example, cwd=tmp_path)
+        check(example, (tmp_path / "sent").read_bytes())
+
+
+ZEPHYR = """\
+cmake_minimum_required(VERSION 3.13)
+project(application C)
+set(CONFIG_FIRMWARE y)
+macro(zephyr_library_named name)
+  add_library(${name} STATIC)
+  set(library ${name})
+endmacro()
+macro(zephyr_library_sources)
+  target_sources(${library} PRIVATE ${ARGN})
+endmacro()
+macro(zephyr_include_directories)
+  include_directories(${ARGN})
+endmacro()
+add_subdirectory(MODULE/zephyr module)
+"""
+"""A build system with the three functions of Zephyr's that the module calls, as documented."""
+
+
+def test_the_zephyr_module_has_all_sources_and_no_program(installed: Path, tmp_path: Path) -> None:
+    controller = installed / "controller"
+    shutil.copytree(EXAMPLES / "zephyr", controller / "zephyr", dirs_exist_ok=True)
+    said = (controller / "zephyr" / "module.yml").read_text(encoding="utf-8")
+    places = dict(line.split(": ") for line in said.splitlines() if line.startswith("  "))
+    assert (controller / places["  cmake"] / "CMakeLists.txt").is_file()
+    assert (controller / places["  kconfig"]).is_file()
+    (tmp_path / "CMakeLists.txt").write_text(ZEPHYR.replace("MODULE", str(controller)))
+    run("cmake", "-S", tmp_path, "-B", tmp_path / "build")
+    run("cmake", "--build", tmp_path / "build")
+    objects = run("ar", "t", tmp_path / "build" / "module" / "libfirmware.a").splitlines()
+    expected = run("ar", "t", installed / "build" / "libfirmware.a").splitlines()
+    assert sorted(objects) == sorted(expected)
