@@ -147,7 +147,7 @@ class Firmware:
         self._hear(sensor, value, age_ticks)
 
     def begin(self, at_rest: bool = False) -> None:
-        """Start as after power-up: a plant that moves is taken over; see ``law.takeover``.
+        """Start as after power-up: a plant that moves is taken over; see ``supervision.takeover``.
 
         ``at_rest``: whether the actuators are known to be at rest.
         """

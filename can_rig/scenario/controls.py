@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS
-
 from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
 from can_rig.scenario.build import (
@@ -24,6 +22,7 @@ from firmware_model.discretisation.tables import build
 from firmware_model.errors import DesignError
 from firmware_model.law.layout import Table
 from firmware_model.law.structs import FloatArray
+from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
 
 MOST_TABLES = 16  # limit of the cache
 
