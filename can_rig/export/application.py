@@ -35,6 +35,8 @@ BY_HAND: Final = (
 )  # fmt: skip
 BENCH: Final = ("bench.h", "bench.c", "harness.h", "harness.c")
 BUILD_FILES: Final = ("Makefile", "CMakeLists.txt", "main.c", "bench_main.c", "check.c")
+EVIDENCE: Final = ("evidence.json", "evidence.html")
+"""Files beside the export, about it; an export without them removes those of an earlier one."""
 IDENTITY_BYTES: Final = 8
 
 
@@ -101,32 +103,28 @@ def identity(node: Mapping[str, str]) -> bytes:
     return hashlib.sha256(repr(sorted(code.items())).encode()).digest()[:IDENTITY_BYTES]
 
 
-def exported(
-    scenario: Scenario, precision: Precision | None = None, prefix: str | None = None
-) -> dict[str, str]:
+def exported(scenario: Scenario, prefix: str | None = None) -> dict[str, str]:
     """The whole of a scenario's controller as text by file name.
 
     Args:
         scenario: the scenario.
-        precision: of its real numbers; None: the scenario's.
         prefix: of ``with_prefix``; None: the names as they are.
 
     Raises:
         ScenarioError: the design fails.
         ExportError: the law is outside the subset that becomes C, or not a prefix.
     """
-    chosen = scenario if precision is None else in_precision(scenario, precision)
-    node = application(chosen)
+    node = application(scenario)
     units = sorted(name for name in node if name.endswith(".c"))
     texts = {
-        **numbers_of(chosen.design.precision),
+        **numbers_of(scenario.design.precision),
         "objects": " \\\n    ".join(f"{name.removesuffix('.c')}.o" for name in units),
         "sources": "\n".join(f"  {name}" for name in units),
         "prefix": f"{prefix}_" if prefix else "",
     }
     build = {name: support(name, _parts(node), **texts) for name in BUILD_FILES}
     whole = {**node, **bench(node), **build}
-    return with_provenance(whole if prefix is None else with_prefix(whole, prefix), chosen)
+    return with_provenance(whole if prefix is None else with_prefix(whole, prefix), scenario)
 
 
 def in_precision(scenario: Scenario, precision: Precision) -> Scenario:
@@ -142,7 +140,8 @@ def write(texts: dict[str, str], folder: Path, force: bool) -> None:
     Raises:
         RunFolderError: the folder exists and is not to be written to, or cannot be written.
     """
-    kind = Kind("an exported controller", HEADER, lambda _: texts, lambda _: True)
+    own = {*texts, *EVIDENCE}
+    kind = Kind("an exported controller", HEADER, lambda _: own, lambda _: True)
     refuse_folder(folder, kind, force)
     with whole_folder(folder, kind, force=force) as made:
         for name, text in texts.items():

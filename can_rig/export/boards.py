@@ -62,7 +62,7 @@ BOARDS: Final = {
 }
 FLAGS: Final = (
     "-std=c99", "-O2", "-ffp-contract=off", "-mthumb", "-mfloat-abi=hard", "-fdata-sections",
-    "-ffunction-sections", "-fno-math-errno",
+    "-ffunction-sections", "-fno-math-errno", "-g",
 )  # fmt: skip
 LINKED: Final = ("-nostartfiles", "-Wl,--gc-sections", "-Tmps2.ld")
 

@@ -472,8 +472,13 @@ class CFunction:
                 case [ast.If() as other] if other not in self._declared.before:
                     node, before = other, "} else if"
                     continue
-                case []:
+                case [] if before == "if":
                     pass
+                case []:
+                    self._lines += [
+                        f"{self._indent}}} else {{",
+                        f"{self._indent}{INDENT}/* as it is */",
+                    ]
                 case _:
                     self._line("} else {")
                     self._block(node.orelse)
@@ -699,7 +704,7 @@ def _enumerations(module: Module) -> list[str]:
         if not isinstance(node, ast.ClassDef) or node.name not in module.enums:
             continue
         lines += ["", *comment(ast.get_docstring(node) or node.name)]
-        lines.append(f"enum {module.name}_{snake(node.name)} {{")
+        lines.append("enum {")
         for each, after in zip(node.body, [*node.body[1:], None], strict=True):
             match each:
                 case ast.Assign(

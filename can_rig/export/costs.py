@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 import tempfile
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -18,88 +19,37 @@ from typing import Final
 
 import numpy as np
 
-from can_rig.export.application import application, in_precision
 from can_rig.export.boards import BOARDS, COMPILER, FLAGS, emulated, image_of
-from can_rig.export.compiler import placed, run
-from can_rig.export.law import CHANGE_SPEED, law_program, speed_program
+from can_rig.export.compiler import placed, run, shared_library
+from can_rig.export.law import CHANGE_SPEED, law_program, speed_program, support
 from can_rig.export.subset import Program
-from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import FloatArray, Precision
 
-VARIANTS: Final[tuple[tuple[str, Precision], ...]] = (
-    ("m4f", "float32"), ("m7", "float32"), ("m7", "float64"), ("m4f", "float64"),
-)  # fmt: skip
+BOARDS_OF: Final[dict[Precision, tuple[str, ...]]] = {"float32": ("m4f", "m7"), "float64": ("m7",)}
+"""The boards whose floating-point unit has the precision."""
 NS_PER_INSTRUCTION, NS_PER_COUNT = 64, 40  # of ``board_count.c``
 MOST_TICKS: Final = 65536
 KEPT: Final = "kept.c"
-SIZE: Final = COMPILER.replace("gcc", "size")
+SIZE, ADDR2LINE = (COMPILER.replace("gcc", tool) for tool in ("size", "addr2line"))
 NO_LAW: Final = (
-    "network.c", "constants.c", "crc.c", "e2e.c", "ecu.c", "frames.c", "self_test.c",
+    "network.c", "crc.c", "e2e.c", "ecu.c", "frames.c", "self_test.c",
     "self_test_data.c",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Cost:
-    """The cost of the law on a board."""
+    """Bytes of the law on a board; the state includes a blended table, if any."""
 
-    board: str
-    precision: Precision
     code_bytes: int
     constant_bytes: int
     state_bytes: int
-    """Memory kept by an application: the state, and the blended table, if any."""
     stack_bytes: int
-    counts: FloatArray | None
-    """Instructions of each tick, shape (ticks,); None: not counted."""
-    node_counts: FloatArray | None
-    """Likewise of the whole node, from frames to frames."""
-
-    @property
-    def median(self) -> float:
-        """Instructions a tick."""
-        assert self.counts is not None
-        return float(np.median(self.counts))
-
-    @property
-    def node_median(self) -> float:
-        """Instructions of the whole node a tick."""
-        assert self.node_counts is not None
-        return float(np.median(self.node_counts))
-
-    @property
-    def worst(self) -> float:
-        """The most instructions of a tick."""
-        assert self.counts is not None
-        return float(self.counts.max())
-
-    @property
-    def worst_tick(self) -> int:
-        """The tick of ``worst``."""
-        assert self.counts is not None
-        return int(np.argmax(self.counts))
 
 
-def cost(scenario: Scenario, board: str, precision: Precision, inputs: FloatArray | None) -> Cost:
-    """The cost of a scenario's law.
-
-    Args:
-        scenario: the scenario.
-        board: a key of ``BOARDS``.
-        precision: of its real numbers.
-        inputs: from ``frameless.controller_inputs``, the first ``MOST_TICKS`` of them count; None:
-            sizes only, without an emulator.
-
-    Raises:
-        ExportError: a tool is missing, or refuses.
-    """
-    files = application(in_precision(scenario, precision))
-    law = {name: text for name, text in files.items() if name not in NO_LAW}
-    law["constants.c"] = files["constants.c"]
-    counts, of_node = (
-        None if inputs is None else instructions(each, board, inputs) for each in (law, files)
-    )
-    return Cost(board, precision, *sizes(law, board), counts, of_node)
+def law_of(node: Mapping[str, str]) -> dict[str, str]:
+    """The law and its constants, of the files of a whole node."""
+    return {name: text for name, text in node.items() if name not in NO_LAW}
 
 
 def instructions(files: Mapping[str, str], board: str, inputs: FloatArray) -> FloatArray:
@@ -108,15 +58,53 @@ def instructions(files: Mapping[str, str], board: str, inputs: FloatArray) -> Fl
     Raises:
         ExportError: a tool is missing, or refuses.
     """
-    inputs = inputs[:MOST_TICKS]
     image = image_of(files, "board_count.c", board)
-    data = {"inputs": len(inputs).to_bytes(4, "little") + inputs.astype("<f8").tobytes()}
-    counted = emulated(image, board, data, "counts", "-icount", "shift=6,sleep=off")
+    counted = emulated(image, board, _file_of(inputs), "counts", "-icount", "shift=6,sleep=off")
     return np.asarray(np.frombuffer(counted, "<u4") * (NS_PER_COUNT / NS_PER_INSTRUCTION))
 
 
-def sizes(files: Mapping[str, str], board: str) -> tuple[int, int, int, int]:
-    """Bytes of code, constants, kept memory and stack.
+def _file_of(inputs: FloatArray) -> dict[str, bytes]:
+    """What `support/board_count.c` reads: the first ``MOST_TICKS`` inputs."""
+    inputs = inputs[:MOST_TICKS]
+    return {"inputs": len(inputs).to_bytes(4, "little") + inputs.astype("<f8").tobytes()}
+
+
+def instructions_by_file(
+    files: Mapping[str, str], board: str, inputs: FloatArray
+) -> dict[str, float]:
+    """Instructions a tick of the law in each source file, the largest first.
+
+    A plugin of QEMU counts every instruction; its line comes from the debugging information, so an
+    inlined function counts in its own file. What start-up and reading take is subtracted.
+
+    Args:
+        files: the law and its constants, text by file name.
+        board: a key of ``BOARDS``.
+        inputs: of ``instructions``.
+
+    Raises:
+        ExportError: a tool is missing, or refuses.
+    """
+    image = image_of(files, "board_count.c", board)
+    plugin = shared_library({"count_blocks.c": support("count_blocks.c")})
+    counts: Counter[str] = Counter()
+    for given, sign in ((inputs, 1), (inputs[:0], -1)):
+        said = emulated(image, board, _file_of(given), "blocks", "-plugin", f"file={plugin}")
+        for line in said.decode().splitlines():
+            count, *addresses = line.split()
+            for address in addresses:
+                counts[address] += sign * int(count)
+    lines = run([ADDR2LINE, "-e", str(image), *counts], image.parent).splitlines()
+    found: Counter[str] = Counter()
+    for place, times in zip(lines, counts.values(), strict=True):
+        found[Path(place.partition(":")[0]).name] += times
+    ticks = min(len(inputs), MOST_TICKS)
+    outside = ("board_count.c", "startup.c", "host.c")
+    return {name: n / ticks for name, n in found.most_common() if n > 0 and name not in outside}
+
+
+def sizes(files: Mapping[str, str], board: str) -> Cost:
+    """What the law takes in a board's memory.
 
     Args:
         files: the law and its constants, text by file name.
@@ -136,7 +124,7 @@ def sizes(files: Mapping[str, str], board: str) -> tuple[int, int, int, int]:
         stack = _stack(folder, blends="schedule.c" in files)
     found = {unit: sum(map(int, line.split()[:3])) for unit, line in zip(units, said, strict=True)}
     constants, state = found.pop("constants.c"), found.pop(KEPT)
-    return sum(found.values()), constants, state, stack
+    return Cost(sum(found.values()), constants, state, stack)
 
 
 def _stack(folder: Path, blends: bool) -> int:

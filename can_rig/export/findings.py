@@ -10,7 +10,7 @@ import re
 import shutil
 import subprocess
 import tempfile
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from can_rig.export.application import application, bench
 from can_rig.export.compiler import WARNINGS, placed, run
-from can_rig.export.law import law_files, support
+from can_rig.export.law import law_files, parts_of, support
 from can_rig.export.trials import (
     HOST_FLAGS,
     as_orders,
@@ -32,7 +32,6 @@ from can_rig.export.trials import (
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
-TOOLS: Final = ("gcc", "gcov")
 MEMORIES: Final = 100
 TICKS: Final = 12
 NODES: Final = range(20)
@@ -110,6 +109,11 @@ def _measured(
 
 
 STRICT: Final = ("-std=c99", *WARNINGS, "-O2", "-c")
+COMPILERS: Final = {
+    "gcc": "gcc", "gcc -fanalyzer": "gcc", "clang": "clang", "cppcheck": "cppcheck",
+}  # fmt: skip
+"""The program of each tool that ``findings`` asks."""
+
 BENCH: Final = ("check.c", "main.c", "bench_main.c", "bench.c", "bench.h", "harness.c", "harness.h")
 """Files outside the application: examples and the bench."""
 
@@ -117,26 +121,20 @@ EVA: Final = (
     "-eva", "-eva-precision", "1", "-eva-no-print", "-warn-special-float", "none", "-machdep",
     "gcc_x86_64",
 )  # fmt: skip
-NOT_INSTALLED: Final = "not installed"
-
 DEVIATIONS: Final = {
-    "2.4": "tags of enumerations are not used, because the state has an int32_t for each: the "
-    "enumerators are",
+    "2.4": "an enumeration has no tag, for the state has an int32_t: its enumerators are used",
     "9.3": "what the table does not name is zero, as C says",
-    "10.4": "a constant of another essential type stands beside int32_t or uint8_t: enumerators, "
-    "bits, counters; -Wconversion finds nothing",
     "12.1": "* before +, + before <, < before ?: as in the Python lines; gcc and clang warn of the "
     "precedences that mislead",
     "15.5": "a function returns where its answer is known, as in the Python lines",
-    "15.7": "the last else if of the Python lines has no else",
     "17.8": "a parameter goes on as the value that it becomes, as in the Python lines",
 }
 """MISRA C:2012 rules from which the export deviates, and why. Except 9.3 and 10.4, the rules are
 advisory or concern readability; no rule is mandatory."""
 
 
-def findings(files: Mapping[str, str]) -> dict[str, int | str]:
-    """By tool, the number of warnings on exported files, or a note on a missing tool.
+def findings(files: Mapping[str, str]) -> dict[str, int | None]:
+    """By key of ``COMPILERS``, the number of warnings on exported files; None: not installed.
 
     Args:
         files: text by file name.
@@ -144,26 +142,21 @@ def findings(files: Mapping[str, str]) -> dict[str, int | str]:
     Raises:
         ExportError: a compiler refuses.
     """
-    found: dict[str, int | str] = {}
+    found: dict[str, int | None] = {}
     with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
         units = placed(place, files)
-        check = ["--quiet", "--std=c99", "--enable=warning,performance,portability", "."]
-        for tool, command in {
-            "gcc": ["gcc", *STRICT, *units],
-            "gcc -fanalyzer": ["gcc", *STRICT, "-fanalyzer", *units],
-            "clang": ["clang", *STRICT, *units],
-            "cppcheck": ["cppcheck", *check],
-        }.items():
-            if shutil.which(command[0]) is None:
-                found[tool] = NOT_INSTALLED
-            else:
-                said = run(command, Path(place))
+        check = ("--quiet", "--std=c99", "--enable=warning,performance,portability", ".")
+        for tool, program in COMPILERS.items():
+            found[tool] = None
+            if shutil.which(program) is not None:
+                options = check if tool == "cppcheck" else (*STRICT, *units)
+                said = run([*tool.split(), *options], Path(place))
                 found[tool] = len(re.findall(r"\b(?:warning|error|performance|portability):", said))
     return found
 
 
-def misra(files: Mapping[str, str]) -> Counter[str] | None:
-    """How often each rule of MISRA C:2012 is broken; None without cppcheck.
+def misra(files: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Each rule of MISRA C:2012 that is broken: how often, in which files, and for which reason.
 
     Args:
         files: text by file name; bench files are left out.
@@ -171,18 +164,27 @@ def misra(files: Mapping[str, str]) -> Counter[str] | None:
     Raises:
         ExportError: cppcheck refuses.
     """
-    if shutil.which("cppcheck") is None:
-        return None
     with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
         placed(place, _application(files))
         said = run(["cppcheck", "--quiet", "--std=c99", "--addon=misra", "."], Path(place))
-    return Counter(re.findall(r"\[misra-c2012-([\d.]+)\]", said))
+    places: dict[str, Counter[str]] = defaultdict(Counter)
+    for file, rule in re.findall(r"^(\S+?):\d+:.*\[misra-c2012-([\d.]+)\]", said, flags=re.M):
+        places[rule][file] += 1
+    return [
+        {
+            "rule": rule,
+            "times": sum(of.values()),
+            "reason": DEVIATIONS.get(rule),
+            "files": dict(of.most_common()),
+        }
+        for rule, of in sorted(places.items(), key=lambda each: [*map(int, each[0].split("."))])
+    ]
 
 
-def eva(files: Mapping[str, str]) -> list[str] | None:
+def eva(files: Mapping[str, str]) -> list[str]:
     """Alarms of Frama-C's Eva for a node that receives arbitrary frames for ever.
 
-    None without Frama-C.
+    The self-test, which has only its own data, is left out.
 
     Args:
         files: a whole export, text by file name.
@@ -190,10 +192,8 @@ def eva(files: Mapping[str, str]) -> list[str] | None:
     Raises:
         ExportError: Frama-C refuses.
     """
-    if shutil.which("frama-c") is None:
-        return None
-    whole = _application(files) | {"eva.c": support("eva.c")}
-    return alarms(whole)
+    whole = {name: text for name, text in _application(files).items() if name != "self_test.c"}
+    return alarms(whole | {"eva.c": support("eva.c", parts_of(files))})
 
 
 def alarms(files: Mapping[str, str]) -> list[str]:
@@ -203,7 +203,8 @@ def alarms(files: Mapping[str, str]) -> list[str]:
         ExportError: Frama-C refuses.
     """
     with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
-        command = ["frama-c", *EVA, f"-cpp-extra-args=-I{place}", *placed(place, files)]
+        units = [f"{place}/{unit}" for unit in placed(place, files)]  # it looks at PWD, not at cwd
+        command = ["frama-c", *EVA, f"-cpp-extra-args=-I{place}", *units]
         said = run(command, Path(place))
     found = re.findall(r"\[eva:alarm\] (\S+): Warning: ?\n? *([^.\n]+)", said)
     return [f"{Path(where).name}: {what}" for where, what in found]

@@ -10,7 +10,7 @@ from can_rig.errors import ExportError
 
 COMMENT_OR_TEXT: Final = re.compile(r'(/\*.*?\*/|"(?:[^"\\\n]|\\.)*")', re.S)
 TAG: Final = re.compile(r"^(?:struct|enum) (\w+) \{", re.M)
-ENUM: Final = re.compile(r"^enum \w+ \{(.*?)^\};", re.M | re.S)
+ENUM: Final = re.compile(r"^enum (?:\w+ )?\{(.*?)^\};", re.M | re.S)
 NAMED: Final = (
     re.compile(r"^#define (\w+)", re.M),
     re.compile(r"^typedef .*?(\w+);", re.M),

@@ -145,6 +145,8 @@ $real ${name}_reset(struct $name *state, $real u)
             y = u * b2 / a2;
         } else if (a1 != $zero) {
             y = u * b1 / a1;
+        } else {
+            /* as it is */
         }
         s[i][0] = y - b0 * u;
         s[i][1] = a1 * y - b1 * u;

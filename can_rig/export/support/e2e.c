@@ -2,15 +2,15 @@
 
 #include "crc.h"
 
-#define COUNTERS 15     /* 0..14 */
-#define MAX_DELTA 1     /* tolerated step where no frame was missed */
-#define WIDEST 15       /* a window that tolerates every step */
+#define COUNTERS 15u    /* 0..14 */
+#define MAX_DELTA 1u    /* tolerated step where no frame was missed */
+#define WIDEST 15u      /* a window that tolerates every step */
 
 static uint8_t crc_of(uint16_t data_id, const uint8_t data[E2E_BYTES])
 {
     const uint8_t identifier[2] = {(uint8_t)(data_id & 0xFFu), (uint8_t)(data_id >> 8)};
 
-    return crc_8(crc_8(0, identifier, 2), &data[1], E2E_BYTES - 1);
+    return crc_8(crc_8(0, identifier, 2), &data[1], E2E_BYTES - 1u);
 }
 
 void e2e_protector_init(struct e2e_protector *protector, uint16_t data_id)
@@ -28,7 +28,7 @@ void e2e_protect(struct e2e_protector *protector, uint8_t data[E2E_BYTES])
 {
     data[1] = (uint8_t)((data[1] & 0xF0u) | protector->counter);
     data[0] = crc_of(protector->data_id, data);
-    protector->counter = (uint8_t)((protector->counter + 1) % COUNTERS);
+    protector->counter = (uint8_t)((protector->counter + 1u) % COUNTERS);
 }
 
 bool e2e_intact(const struct e2e_checker *checker, const uint8_t *data, uint8_t length)
@@ -52,20 +52,20 @@ static enum e2e_status judge(struct e2e_checker *checker, uint8_t counter)
     if (!checker->known) {
         return accept(checker, counter, E2E_INITIAL);
     }
-    const int delta = (counter - checker->last + COUNTERS) % COUNTERS;
+    const uint32_t delta = (counter + COUNTERS - checker->last) % COUNTERS;
 
-    if (delta == 0) {
+    if (delta == 0u) {
         return E2E_REPEATED;
     }
     if (delta > checker->window) {
         checker->sync = 1;
         return accept(checker, counter, E2E_WRONG_SEQUENCE);
     }
-    if (checker->sync > 0) {
+    if (checker->sync > 0u) {
         checker->sync--;
         return accept(checker, counter, E2E_SYNC);
     }
-    return accept(checker, counter, delta == 1 ? E2E_OK : E2E_OK_SOME_LOST);
+    return accept(checker, counter, delta == 1u ? E2E_OK : E2E_OK_SOME_LOST);
 }
 
 static void widen(struct e2e_checker *checker)

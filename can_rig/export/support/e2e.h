@@ -11,7 +11,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define E2E_BYTES 8
+#define E2E_BYTES 8u
 
 /* Result of the check of one frame; with any but the first three it updates nothing. */
 enum e2e_status {

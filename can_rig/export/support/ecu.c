@@ -118,10 +118,11 @@ static void take_sample(struct ecu *ecu, uint32_t at, uint8_t length, const uint
     if (receive(&sensor->receiver, ecu->tick, length, data)) {
         const uint32_t sample = (uint32_t)data[4] | (uint32_t)data[5] << 8;
         const uint32_t most = (1u << frame->verdict_bits) - 1u;
+        const uint32_t age = (ecu->tick - sample) & most;
         const bool valid = ((uint32_t)data[1] >> frame->mode_shift & 1u) != 0u;
 
         sensor->value = valid ? frame_value(frame, data) : (real)NAN;
-        sensor->age = (real)((ecu->tick - sample) & most);
+        sensor->age = (real)age;
     }
 }
 
@@ -137,7 +138,7 @@ static bool is_sample(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_
             } else {
                 sensor->offered = true;
                 sensor->first_length = length;
-                (void)memcpy(sensor->first, data, length < 8 ? length : 8);
+                (void)memcpy(sensor->first, data, length < 8u ? length : 8u);
             }
             return true;
         }
@@ -180,14 +181,14 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
     if (id == frame_reference.id) {
         ecu->offered = true;
         ecu->first_length = length;
-        (void)memcpy(ecu->first, data, length < 8 ? length : 8);
+        (void)memcpy(ecu->first, data, length < 8u ? length : 8u);
         return false;
     }
 //: if hears
     if (id == frame_speed.id) {
         ecu->speed_offered = true;
         ecu->first_speed_length = length;
-        (void)memcpy(ecu->first_speed, data, length < 8 ? length : 8);
+        (void)memcpy(ecu->first_speed, data, length < 8u ? length : 8u);
         return false;
     }
 //: end

@@ -47,9 +47,9 @@ struct firmware_answer {
     real command_1;       /* {command_1} */
     real command_2;       /* {command_2} */
     real fault_estimate;  /* {estimate} */
-    int32_t mode;         /* an enum status_mode */
-    int32_t fault_state;  /* an enum status_fault_state */
-    int32_t verdict;      /* an enum status_verdict */
+    int32_t mode;         /* a MODE_ of status.h */
+    int32_t fault_state;  /* a FAULT_STATE_ of status.h */
+    int32_t verdict;      /* a VERDICT_ of status.h */
 };
 
 //: if blends

@@ -1,11 +1,13 @@
-"""The output of ``--report``: each tool finds planted errors, and none in exported files.
+"""The record of ``--evidence``: each tool finds planted errors, and none in exported files.
 
 Costs on emulated boards are compared with something known.
 """
 
 from __future__ import annotations
 
+import json
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +16,13 @@ from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
-from can_rig.export.application import application, exported
+from can_rig.export import evidence
+from can_rig.export.application import HEADER, application, exported, write
 from can_rig.export.boards import COMPILER, EMULATOR
-from can_rig.export.costs import Cost, cost, instructions, sizes
-from can_rig.export.findings import DEVIATIONS, Coverage, alarms, coverage, findings, misra
+from can_rig.export.costs import Cost, instructions, instructions_by_file, law_of, sizes
+from can_rig.export.evidence import NEEDS
+from can_rig.export.findings import COMPILERS, Coverage, alarms, coverage, findings, misra
+from can_rig.export.provenance import MANIFEST
 from can_rig.plant.frameless import controller_inputs
 from firmware_model.law.layout import state_type, table_type
 from firmware_model.law.schedule import Constants, State
@@ -30,13 +35,11 @@ DRIVE = load(
     ["duration_s=0.1", "drive.ramps=[[0.04,8.0],[0.06,8.1]]", "design.speeds_mps=[8.0,8.9]",
      "fault.kind=none", 'design.precision="float32"'],
 )  # fmt: skip
-NOTHING = Coverage(0, 0, 0, 0, 0, 0, ())
-FREE = Cost("m4f", "float32", 1111, 2222, 3333, 4444, np.array([5555.0]), np.array([6666.0]))
 
 
 def few_files(*of: object) -> dict[str, str]:
-    every = exported(SCENARIO).items()
-    return {name: text for name, text in every if name.startswith(("crc", "e2e"))}
+    every, kept = exported(SCENARIO), ("crc", "e2e", "default.toml", HEADER, MANIFEST)
+    return {name: text for name, text in every.items() if name.startswith(kept)}
 
 
 def needs(tool: str) -> pytest.MarkDecorator:
@@ -47,9 +50,9 @@ def needs(tool: str) -> pytest.MarkDecorator:
 
 
 def test_findings_are_found() -> None:
-    assert all(n in (0, "not installed") for n in findings(few_files()).values())
+    assert {*findings(few_files()).values()} <= {0, None}
     wrong = {"wrong.c": "int f(void); int f(void) { int unused; return 0; }\n"}
-    assert findings(wrong)["gcc"] != 0
+    assert findings(wrong)["gcc"] == 1
 
 
 @needs("cppcheck")
@@ -58,11 +61,14 @@ def test_misra_rules_that_are_broken_have_a_reason() -> None:
     chosen = ("e2e.c", "frames.c", "constants.c", "biquad.c")
     files = exported(SCENARIO)
     found = misra({n: text for n, text in files.items() if n.endswith(".h") or n in chosen})
-    assert found is not None
     of_the_whole = {"2.5", "8.7"}  # what other files use
-    assert {"9.3", "10.4", "12.1"} <= set(found) - of_the_whole <= set(DEVIATIONS)
+    without = {each["rule"] for each in found if each["reason"] is None}
+    assert without <= of_the_whole
+    assert {"9.3", "12.1"} <= {each["rule"] for each in found}
+    assert all(each["times"] == sum(each["files"].values()) for each in found)
     wrong = {"wrong.c": "int f(int x) { return x; }\n"}  # without a prototype
-    assert misra(wrong) == {"8.4": 1}
+    expected = {"rule": "8.4", "times": 1, "reason": None, "files": {"wrong.c": 1}}
+    assert misra(wrong) == [expected]
 
 
 @needs("frama-c")
@@ -86,32 +92,76 @@ def test_the_trials_run_nearly_all_of_it() -> None:
     assert not {"schedule.c", "ecu.c"} & {line.split(":")[0] for line in found.missed}
 
 
+SPREAD = {"median": 5555, "worst": 6666, "tick of the worst": 7}
+RECORD = {
+    "trials": Coverage(1300, 0, 200, 150, 40, 30, ("biquad.c:7",)),
+    "sizes": Cost(1111, 2222, 3333, 4444),
+    "instructions": {"law": SPREAD, "node": {"as in the scenario": SPREAD},
+                     "mean of each part": {"filters": 8888.0},
+                     "mean of each file of the law": {"biquad.c": 9999.0}},
+    "misra": [{"rule": "12.1", "times": 3, "reason": "it is known", "files": {"crc.c": 3}}],
+    "eva": [],
+}  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    "missing", [{EMULATOR: 1}, {COMPILER: 4, "gcov": 1}, {"cppcheck": 2}], ids=" ".join
+    ("missing", "lost"),
+    [
+        ([], set()),
+        ([EMULATOR], {"instructions"}),
+        ([COMPILER, "gcov"], {"memory", "instructions", "trials"}),
+        (["cppcheck", "frama-c"], {"misra", "eva"}),
+    ],
+    ids=str,
 )
-def test_a_tool_that_is_not_installed_is_named(
-    missing: dict[str, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_what_a_missing_tool_would_measure_is_named(
+    missing: list[str], lost: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The rest is reported, whatever else this machine lacks."""
-    there = shutil.which
-    monkeypatch.setattr(shutil, "which", lambda name: None if name in missing else there(name))
+    """The rest is on the page, whatever else this machine lacks."""
+    monkeypatch.setattr(shutil, "which", lambda name: None if name in missing else f"/bin/{name}")
+    monkeypatch.setattr(evidence, "_version", lambda tool: None if tool in missing else "1.0")
     monkeypatch.setattr("can_rig.cli.export.exported", few_files)
-    monkeypatch.setattr("can_rig.export.findings.coverage", lambda scenario: NOTHING)
-    monkeypatch.setattr("can_rig.export.costs.cost", lambda *of: FREE)
-    command = ["export", "default", "--set", "duration_s=0.05", "--report", "--out"]
+    monkeypatch.setattr(evidence, "findings", lambda files: dict.fromkeys(COMPILERS, 0))
+    for name, answer in (("coverage", "trials"), ("sizes", "sizes"), ("misra", "misra"),
+                         ("_instructions", "instructions"), ("eva", "eva")):  # fmt: skip
+        monkeypatch.setattr(evidence, name, lambda *of, answer=answer: RECORD[answer])
+    command = ["export", "default", "--set", "duration_s=0.05", "--evidence", "--out"]
     done = CliRunner().invoke(main, [*command, str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
-    lines = done.stdout.splitlines()
-    for tool, times in missing.items():
-        named = [line for line in lines if "not installed" in line and tool in line]
-        assert len(named) == times
-    assert any(line.startswith("gcc: ") for line in lines)
-    assert any("MISRA" in line for line in lines)
-    assert any("random memory" in line for line in lines)
-    compiled = there(COMPILER) is not None and COMPILER not in missing
-    assert compiled == any("1111" in line for line in lines)
-    counted = compiled and there(EMULATOR) is not None and EMULATOR not in missing
-    assert counted == any("5555" in line for line in lines)
+    record = json.loads((tmp_path / "out" / "evidence.json").read_text(encoding="utf-8"))
+    shown = (tmp_path / "out" / "evidence.html").read_text(encoding="utf-8")
+    assert {part for part in NEEDS if record[part] is None} == lost
+    assert {tool for tool, said in record["tools"].items() if said is None} == {*missing}
+    for part, number in (("trials", "biquad.c:7"), ("memory", "3333"), ("instructions", "8888"),
+                         ("misra", "it is known")):  # fmt: skip
+        assert (number in shown) is (part not in lost)
+    for part in lost:
+        named = ", ".join(tool for tool in NEEDS[part] if tool in missing)
+        assert f"Not measured: {named} is not installed." in shown
+    assert shown.count("✗") == 0
+
+
+def test_what_does_not_hold_is_seen_at_once() -> None:
+    record = {
+        "controller": {"scenario": "a<b"}, "tools": dict.fromkeys(("cppcheck", "gcc"), "1.0"),
+        "trials": asdict(Coverage(1300, 2, 200, 150, 40, 30, ())), "memory": None,
+        "instructions": None, "eva": ["frames.c:7: overflow"],
+        "misra": [{"rule": "8.4", "times": 1, "reason": None, "files": {"wrong.c": 1}}],
+        "findings": {"gcc": 1, "clang": None},
+    }  # fmt: skip
+    record["tools"] |= dict.fromkeys((COMPILER, EMULATOR))
+    shown = evidence.as_page(record)
+    assert shown.count("✗") == 4
+    assert "✓" not in shown
+    assert "NO REASON" in shown
+    assert "a&lt;b" in shown
+
+
+def test_an_export_without_evidence_removes_older_evidence(tmp_path: Path) -> None:
+    files = {HEADER: "", "crc.c": ""}
+    write(files | {"evidence.json": "{}", "evidence.html": ""}, tmp_path / "out", force=False)
+    write(files, tmp_path / "out", force=True)
+    assert {each.name for each in (tmp_path / "out").iterdir()} == {*files}
 
 
 # --- costs ---------------------------------------------------------------------------------------
@@ -119,12 +169,31 @@ def test_a_tool_that_is_not_installed_is_named(
 
 @EMULATED
 def test_costs_are_of_the_law() -> None:
-    found = cost(SCENARIO, "m4f", "float32", None)
-    assert found.counts is None
+    found = sizes(law_of(application(SCENARIO)), "m4f")
     assert 4000 < found.code_bytes < 40_000
     assert 50 < found.stack_bytes < 4000
     assert found.constant_bytes == table_type("float32").itemsize
     assert found.state_bytes == state_type("float32").itemsize
+
+
+@EMULATED
+def test_two_counters_count_the_same() -> None:
+    """The board's timer counts ticks, a plugin of the emulator the instructions of each file."""
+    node, inputs = application(SCENARIO), controller_inputs(SCENARIO)
+    law = law_of(node)
+    law["turn.c"] = f"void turn(void);\nvoid turn(void) {{ {TURNS.format(n='500')} }}\n"
+    call = "    controller_step(&controller_table"
+    law["firmware.c"] = law["firmware.c"].replace(call, f"    turn();\n{call}")
+    law["firmware.h"] += "void turn(void);\n"
+    by_file = instructions_by_file(law, "m4f", inputs)
+    assert by_file["turn.c"] == pytest.approx(1000, abs=5)
+    assert sum(by_file.values()) == pytest.approx(instructions(law, "m4f", inputs).mean(), rel=0.01)
+    found = evidence._instructions(node, "m4f", {"own": inputs})
+    counts = instructions(node, "m4f", inputs)
+    assert sum(found["mean of each part"].values()) == pytest.approx(counts.mean(), rel=0.01)
+    worst = found["node"]["own"]
+    assert counts[worst["tick of the worst"]] == counts.max()
+    assert worst["worst"] == round(counts.max())
 
 
 @EMULATED
@@ -134,26 +203,23 @@ def test_costs_of_a_drive_are_of_its_designs_and_of_its_speed() -> None:
     inputs = controller_inputs(DRIVE)
     speed = np.interp(np.arange(50) * 0.002, [0.04, 0.06], [8.0, 8.1])
     assert np.allclose(inputs[:, 2], speed, atol=1e-7)
-    found = cost(DRIVE, "m4f", "float32", inputs)
+    law = law_of(application(DRIVE))
+    found, counts = sizes(law, "m4f"), instructions(law, "m4f", inputs)
     table, state = table_type("float32").itemsize, state_type("float32").itemsize
     assert found.constant_bytes == table + record_type(Constants, "float32").itemsize
     assert found.state_bytes == state + table + record_type(State, "float32").itemsize
-    assert found.counts is not None
-    assert 1000 < found.median <= found.worst
     changes = np.flatnonzero(np.diff(inputs[:, 2]))
     assert len(changes) == 10
-    assert found.counts[changes + 1].min() > 10_000 + np.delete(found.counts, changes + 1).max()
-    assert found.worst_tick in changes + 1
+    assert counts[changes + 1].min() > 10_000 + np.delete(counts, changes + 1).max()
 
 
 @EMULATED
 def test_the_stack_is_that_of_the_deepest_way_through_either() -> None:
-    files = application(DRIVE)
-    of_law = {name: files[name] for name in files if name != "network.c"}
+    of_law = law_of(application(DRIVE))
     large = "    volatile real large[{n}];\n    large[0] = share;\n    const int32_t n = "
     changed = of_law["schedule.c"].replace("    const int32_t n = ", large.format(n=2000))
-    *_, deeper = sizes({**of_law, "schedule.c": changed}, "m4f")
-    assert 8000 <= deeper < 8600
+    deeper = sizes({**of_law, "schedule.c": changed}, "m4f")
+    assert 8000 <= deeper.stack_bytes < 8600
 
 
 TURNS = '__asm__ volatile("mov r3, %0\\n1: subs r3, #1\\n bne 1b" ::"r"((int){n}) : "r3", "cc");'

@@ -120,8 +120,8 @@ def test_it_is_refused_in_one_line(exported: Path) -> None:
         write_fmu(can_rig.load_scenario("default"), exported.parent, force=False)
     with pytest.raises(ExportError, match="cannot be made"):
         write_fmu(can_rig.load_scenario("default"), exported / "below", force=False)
-    done = asked("export", "default", "--fmu", "--report", "--out", exported.parent)
+    done = asked("export", "default", "--fmu", "--evidence", "--out", exported.parent)
     assert done.returncode == 2
-    assert "--fmu and --report do not go together" in done.stderr
+    assert "--fmu and --evidence do not go together" in done.stderr
     done = asked("export", "default", "--fmu", "--force", "--out", exported.parent)
     assert done.returncode == 0, done.stderr

@@ -1,0 +1,289 @@
+"""The evidence for an exported controller: a record of what tools measure, and its page.
+
+The page shows the record and nothing else. What a missing tool would measure is None in the record.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import html
+import shutil
+import subprocess
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any, Final
+
+import numpy as np
+
+from can_rig.drawing.html import Code, page, table
+from can_rig.export.application import application
+from can_rig.export.boards import BOARDS, COMPILER, EMULATOR
+from can_rig.export.costs import BOARDS_OF, instructions, instructions_by_file, law_of, sizes
+from can_rig.export.findings import COMPILERS, coverage, eva, findings, misra
+from can_rig.export.law import law_modules
+from can_rig.export.provenance import MANIFEST, PROJECT
+from can_rig.scenario.settings import Scenario
+from firmware_model.law.structs import FloatArray
+
+Record = dict[str, Any]
+
+NEEDS: Final = {
+    "trials": ("gcc", "gcov"),
+    "memory": (COMPILER,),
+    "instructions": (COMPILER, EMULATOR),
+    "misra": ("cppcheck",),
+    "eva": ("frama-c",),
+}
+"""The tools behind each part of the record; each tool in ``COMPILERS`` is measured alone."""
+
+OUTSIDE: Final = "compiler's library"
+
+
+def evidence(
+    scenario: Scenario, files: Mapping[str, str], runs: Mapping[str, FloatArray]
+) -> Record:
+    """What tools measure on a scenario's controller, as numbers, texts, lists and dictionaries.
+
+    Args:
+        scenario: the scenario, in the exported precision.
+        files: the whole export, text by file name.
+        runs: the inputs of runs, from ``frameless.controller_inputs``, by name; the first is the
+            scenario's own.
+
+    Raises:
+        ExportError: a tool refuses.
+    """
+    node = application(scenario)
+    boards = BOARDS_OF[scenario.design.precision]
+    measured: dict[str, Callable[[], Any]] = {
+        "trials": lambda: asdict(coverage(scenario)),
+        "memory": lambda: {each: asdict(sizes(law_of(node), each)) for each in boards},
+        "instructions": lambda: {each: _instructions(node, each, runs) for each in boards},
+        "misra": lambda: misra(files),
+        "eva": lambda: eva(files),
+    }
+    tools = {*COMPILERS.values(), *(tool for needed in NEEDS.values() for tool in needed)}
+    return {
+        "controller": {
+            "scenario": scenario.name,
+            "precision": scenario.design.precision,
+            "tick_s": scenario.tick_s,
+            "generator": f"{PROJECT} {version(PROJECT)}",
+            "sha256 of the scenario": _sha256(files[f"{scenario.name}.toml"]),
+            "sha256 of the manifest": _sha256(files[MANIFEST]),
+        },
+        "tools": {tool: _version(tool) for tool in sorted(tools)},
+        **{
+            part: None if any(map(_missing, NEEDS[part])) else measure()
+            for part, measure in measured.items()
+        },
+        "findings": findings(files),
+    }
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _missing(tool: str) -> bool:
+    return shutil.which(tool) is None
+
+
+def _version(tool: str) -> str | None:
+    """The first line that a tool says of its version; None: not installed."""
+    if _missing(tool):
+        return None
+    said = subprocess.run([tool, "--version"], capture_output=True, text=True, check=False).stdout
+    return next(iter(said.splitlines()), "no version given")
+
+
+def _instructions(node: Mapping[str, str], board: str, runs: Mapping[str, FloatArray]) -> Record:
+    """Instructions a tick on a board: of the law, of the whole node, of each part, in each run."""
+    own, *_ = runs.values()
+    law = law_of(node)
+    counts = instructions(law, board, own)
+    of_node = {name: instructions(node, board, inputs) for name, inputs in runs.items()}
+    by_file = instructions_by_file(law, board, own)
+    around = of_node[next(iter(runs))].mean() - counts.mean()
+    modules, parts = law_modules(), {"frames and their protection": float(around)}
+    for file, count in by_file.items():
+        path = modules.get(file.removesuffix(".c"), "").split(".")[2:]
+        part = ", ".join(path[:-1]).replace("_", " ") or ("law" if file in law else OUTSIDE)
+        parts[part] = parts.get(part, 0.0) + count
+    return {
+        "law": _spread(counts),
+        "node": {name: _spread(each) for name, each in of_node.items()},
+        "mean of each part": _largest_first(parts),
+        "mean of each file of the law": _largest_first(by_file),
+    }
+
+
+def _largest_first(counts: Mapping[str, float]) -> Record:
+    rounded = {name: round(count, 1) for name, count in counts.items()}
+    return dict(sorted(rounded.items(), key=lambda each: -each[1]))
+
+
+def _spread(counts: FloatArray) -> Record:
+    return {
+        "median": round(float(np.median(counts))),
+        "worst": round(float(counts.max())),
+        "tick of the worst": int(np.argmax(counts)),
+    }
+
+
+STYLE: Final = """
+h3 { font-size: 1rem; margin: .8rem 0 0; } td:nth-child(3) { min-width: 16rem; }
+td.bar { width: 18rem; } td.bar i { display: block; height: .8rem; background: var(--blue); }
+.good { color: var(--good); } .bad { color: var(--warn); } .none { color: var(--soft); }
+@media print { main { max-width: none; } h2 { break-after: avoid; } }
+"""
+
+
+def as_page(record: Record) -> str:
+    """The record as an HTML page."""
+    about = record["controller"]
+    title = f"Evidence: the controller of scenario {about['scenario']} as C"
+    return page(
+        title,
+        [
+            f"<h1>{html.escape(title)}</h1>",
+            table((), ((name, Code(str(text))) for name, text in about.items())),
+            "<h2>Summary</h2>",
+            *_summary(record),
+            "<h2>Instructions</h2>",
+            *_of(record, "instructions", _instructions_tables),
+            "<h2>Memory</h2>",
+            *_of(record, "memory", _memory_table),
+            "<h2>C against Python</h2>",
+            *_of(record, "trials", _trials),
+            "<h2>MISRA C:2012: deviations</h2>",
+            *_of(record, "misra", _misra_table),
+            "<h2>Other findings</h2>",
+            table(
+                ("tool", "findings"),
+                (
+                    (tool, "not installed" if n is None else n)
+                    for tool, n in record["findings"].items()
+                ),
+            ),
+            *_of(record, "eva", lambda alarms: [table(("alarm of Frama-C Eva",), zip(alarms))]),
+            "<h2>Tools</h2>",
+            table(
+                ("tool", "version"),
+                ((tool, said or "not installed") for tool, said in record["tools"].items()),
+            ),
+        ],
+        STYLE,
+    )
+
+
+def _or_missing(of: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    return [(tool, "not installed" if said is None else said) for tool, said in of.items()]
+
+
+def _of(record: Record, part: str, shown: Callable[[Any], list[str]]) -> list[str]:
+    """A part of the record, or which tools it lacks."""
+    if record[part] is not None:
+        return shown(record[part])
+    lacking = ", ".join(tool for tool in NEEDS[part] if record["tools"][tool] is None)
+    return [f'<p class="none">Not measured: {lacking} is not installed.</p>']
+
+
+def _summary(record: Record) -> list[str]:
+    """A line for each claim: whether it holds, and its number."""
+    lines: list[tuple[str, str, bool | None]] = []
+
+    def line(claim: str, part: str, said: Callable[[Any], tuple[str, bool | None]]) -> None:
+        measured = record[part]
+        lines.append((claim, *(("not measured", None) if measured is None else said(measured))))
+
+    def differences(found: Record) -> tuple[str, bool | None]:
+        said = f"{found['different']} of {found['compared']} states of random memory differ"
+        return said, found["different"] == 0
+
+    def share(found: Record) -> tuple[str, bool | None]:
+        return (
+            f"{found['lines_run'] / found['lines']:.1%} of the lines, "
+            f"{found['branches_taken'] / found['branches']:.1%} of the branches"
+        ), None
+
+    def rules(found: list[Record]) -> tuple[str, bool | None]:
+        unreasoned = [each["rule"] for each in found if each["reason"] is None]
+        where = sum(each["times"] for each in found)
+        said = f"{len(found)} rules at {where} places, {len(unreasoned)} rules without a reason"
+        return said, not unreasoned
+
+    def warned(found: Record) -> tuple[str, bool | None]:
+        asked = [n for n in found.values() if n is not None]
+        return f"{sum(asked)} findings of {len(asked)} tools", sum(asked) == 0
+
+    def worst(found: Record) -> tuple[str, bool | None]:
+        most = {
+            board: max((each["worst"], run) for run, each in of["node"].items())
+            for board, of in found.items()
+        }
+        return "; ".join(f"{b}: {n} instructions ({run})" for b, (n, run) in most.items()), None
+
+    line("C computes as Python, bit by bit", "trials", differences)
+    line("run by random memory and frames", "trials", share)
+    line("compilers and analysers", "findings", warned)
+    line("MISRA C:2012", "misra", rules)
+    line("Frama-C Eva", "eva", lambda alarms: (f"{len(alarms)} alarms", not alarms))
+    line("worst tick of the node over all runs", "instructions", worst)
+    rows = "".join(
+        f'<tr><td class="{"none" if good is None else "good" if good else "bad"}">'
+        f"{' ' if good is None else '✓' if good else '✗'}</td>"
+        f"<td>{html.escape(claim)}</td><td>{html.escape(said)}</td></tr>"
+        for claim, said, good in lines
+    )
+    return [f"<table>{rows}</table>"]
+
+
+def _instructions_tables(found: Record) -> list[str]:
+    parts = []
+    for board, of in found.items():
+        most = max(of["mean of each part"].values())
+        bars = "".join(
+            f'<tr><td>{html.escape(part)}</td><td class="n">{count:.0f}</td>'
+            f'<td class="bar"><i style="width:{100 * count / most:.1f}%"></i></td></tr>'
+            for part, count in of["mean of each part"].items()
+        )
+        spreads = {"the law alone": of["law"], **of["node"]}
+        parts += [
+            f"<h3>{board}, QEMU's {BOARDS[board].machine}</h3>"
+            "<p>Counted in every tick of each run; the law takes the inputs of the scenario.</p>",
+            table(("run", *of["law"]), ((run, *each.values()) for run, each in spreads.items())),
+            f"<table><tr><th>part of a tick</th><th>mean</th><th></th></tr>{bars}</table>",
+            "<details><summary>each file of the law</summary>",
+            table(("file", "mean"), of["mean of each file of the law"].items()),
+            "</details>",
+        ]
+    return parts
+
+
+def _memory_table(found: Record) -> list[str]:
+    head = [name.replace("_", " ") for name in next(iter(found.values()))]
+    return [table(("the law alone", *head), ((board, *of.values()) for board, of in found.items()))]
+
+
+def _trials(found: Record) -> list[str]:
+    return [
+        "<p>Random memory and inputs through the law, compared in all bits of the state; random "
+        "frames through the node.</p>",
+        table((), ((name.replace("_", " "), n) for name, n in found.items() if name != "missed")),
+        f"<details><summary>{len(found['missed'])} lines not run</summary><p><code>"
+        f"{html.escape(', '.join(found['missed']))}</code></p></details>",
+    ]
+
+
+def _misra_table(found: list[Record]) -> list[str]:
+    rows = (
+        (each["rule"], each["times"], each["reason"] or "NO REASON",
+         Code(", ".join(f"{file} {n}" for file, n in each["files"].items())))
+        for each in found
+    )  # fmt: skip
+    return [
+        "<p>Found by cppcheck's addon in the files that run on a target; no rule is mandatory.</p>",
+        table(("rule", "times", "reason", "where"), rows),
+    ]
