@@ -56,7 +56,7 @@ def save(table: Table, state: layout.State) -> None:
     own.fingerprint = 1
     own.fault_state = state.fault_state
     own.share = known_share(state)
-    own.share_variance = variance_of(state.mismatch.covariance, table.mismatch.n, 0)
+    own.share_variance = variance_of(state.mismatch.covariance, 0)
     own.verdict = state.hypotheses.verdict
     own.found_size = state.hypotheses.found_size
     own.offset = state.hypotheses.sensor_error.offset
@@ -107,7 +107,7 @@ def recall_car(table: Table, state: layout.State) -> None:
     own.fingerprint = 0
     for i in range(MAX_STATES):
         known.theta[i] = own.theta[i]
-    learn_loss(known, own.share_variance, real(0.0, own.share))
+    learn_loss(table.mismatch, known, own.share_variance, real(0.0, own.share))
     settle_whitener(whitener, known.white.lost, state.loss_model.previous_output)
     if own.verdict != SENSOR_FROZEN and (own.verdict < ANOTHER_CAR or own.verdict == BOTH_LOST):
         found.verdict = own.verdict
