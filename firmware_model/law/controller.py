@@ -190,7 +190,7 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         state.mode = MODE_STANDBY
     elif told and (measured or predicts):
         if state.standby.elapsed > 0.0:
-            save(table, state)
+            save(state)
             state.takeover.pending = AT_REST
         if state.takeover.pending != BEGUN:
             take_over(table, state, r, y)

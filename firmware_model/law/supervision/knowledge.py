@@ -48,7 +48,7 @@ class Saved(Struct):
 
 
 @firmware
-def save(table: Table, state: layout.State) -> None:
+def save(state: layout.State) -> None:
     """Write into ``state.saved`` what is known now; saved knowledge without a begin yet stays."""
     own = state.saved
     if own.fingerprint != 0:
@@ -64,11 +64,11 @@ def save(table: Table, state: layout.State) -> None:
         own.theta[i] = state.mismatch.theta[i]
 
 
-def saved_in(table: Table, state: layout.State) -> Saved:
+def saved_in(state: layout.State) -> Saved:
     """What a begin of a controller can use of ``state``; ``state`` stays as it is."""
     own: Saved = state.saved
     before = own.fingerprint
-    save(table, state)
+    save(state)
     found = own.copy()
     own.fingerprint = before
     return found
