@@ -9,14 +9,14 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from firmware_model.law import controller, further_sensors, schedule
-from firmware_model.law.fault_decision.hypotheses import verdict
-from firmware_model.law.fault_decision.lost_commands import act_first
-from firmware_model.law.filters import biquad
-from firmware_model.law.knowledge import Saved, saved_in
+from firmware_model.law import controller, schedule
+from firmware_model.law.core import biquad
 from firmware_model.law.layout import State, Table, precision_of
 from firmware_model.law.structs import RecordArray, fields_of, record_type, values
-from firmware_model.law.takeover import AT_REST, UNKNOWN
+from firmware_model.law.supervision import further_sensors, verdict
+from firmware_model.law.supervision.knowledge import Saved, saved_in
+from firmware_model.law.supervision.lost_commands import act_first
+from firmware_model.law.supervision.takeover import AT_REST, UNKNOWN
 
 
 class Answer(NamedTuple):
@@ -147,7 +147,7 @@ class Firmware:
         self._hear(sensor, value, age_ticks)
 
     def begin(self, at_rest: bool = False) -> None:
-        """Start as after power-up: a plant that moves is taken over; see ``law.takeover``.
+        """Start as after power-up: a plant that moves is taken over; see ``supervision.takeover``.
 
         ``at_rest``: whether the actuators are known to be at rest.
         """

@@ -9,7 +9,7 @@ parameters.
 
 The decision on d̂ has figures too: the time to find a loss, and losses never found. The evidence
 for a loss grows with the square of the lost torque's effect, over the variance of the unknown:
-noise, rounding, and cars of ``budget.box`` (the firmware's ``fault_decision``). The evidence's
+noise, rounding, and cars of ``budget.box`` (the firmware's ``supervision``). The evidence's
 mean, equal to a drive without noise, gives the usual time of confirmation: with noise, half of the
 losses take longer, one in a hundred about a fifth longer.
 """
@@ -268,6 +268,8 @@ class StabilityCheck:
         if self.healthy.stable and self.decision is not None:
             yield from self.decision.describe(scenario)
             yield _isolation(scenario)
+        if scenario.controller.is_ours and scenario.design.supervision == "none":
+            yield "decision: none; design.supervision = 'none'"
         if self.control_authority is not None:
             yield str(self.control_authority)
         yield from self.network_notes
@@ -332,6 +334,7 @@ def check_stability(
     if scenario.plant.is_own:
         SimulatedPlant(scenario)  # refuses what a run refuses
     plant, network, ours = continuous_plant(scenario.plant), network_of(scenario), None
+    decides = scenario.controller.is_ours and scenario.design.supervision == "full"
     margins_with: Callable[[Effectiveness], Margins]
     if scenario.controller.is_ours:
         ours = controller_table(scenario, None)
@@ -354,7 +357,7 @@ def check_stability(
             if ours is not None and ours.compensator.on_confirmation
             else None
         ),
-        decision=None if ours is None else decision_figures(scenario, network),
+        decision=decision_figures(scenario, network) if decides else None,
         control_authority=control_authority(scenario, network),
         limitations=plant_limitations(scenario),
         findings=findings,

@@ -12,8 +12,9 @@ from typing import Final
 from can_rig.export.c_files import c_files
 from can_rig.export.source import REAL, Record, Sources, Type
 from can_rig.export.subset import Program
-from firmware_model.law import controller, further_sensors, knowledge, layout, schedule
+from firmware_model.law import controller, layout, schedule
 from firmware_model.law.structs import Precision
+from firmware_model.law.supervision import further_sensors, knowledge
 
 ENTRIES: Final = ("start_up", "step", "reset")
 """Entry points called by a node: each function takes table and state, then real numbers."""

@@ -17,7 +17,7 @@ import numpy as np
 from can_rig.export.c_files import comment, name, number
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.firmware import PYTHON_LAW, fingerprint
-from firmware_model.law.filters.biquad import advance, at_rest, output
+from firmware_model.law.core.biquad import advance, at_rest, output
 from firmware_model.law.layout import State, Table, precision_of
 from firmware_model.law.schedule import Constants
 from firmware_model.law.schedule import State as Blending
@@ -32,7 +32,7 @@ from firmware_model.law.structs import (
     record_type,
     values,
 )
-from firmware_model.law.takeover import UNKNOWN
+from firmware_model.law.supervision.takeover import UNKNOWN
 
 DATA: Final = "self_test_data.c"
 MEMORY: Final = "firmware_memory"

@@ -32,8 +32,6 @@ from can_rig.export.law import parts_of, support
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.network import Network
 from firmware_model.firmware import PYTHON_LAW, Law
-from firmware_model.law.fault_decision.echoes import KEPT_TICKS
-from firmware_model.law.filters.whitener import WHITENER_SECTIONS
 from firmware_model.law.layout import precision_of, state_type, table_type
 from firmware_model.law.monitor import COMPENSATION_OFF, SWINGING
 from firmware_model.law.schedule import MAX_SPEEDS, Constants
@@ -47,6 +45,8 @@ from firmware_model.law.structs import (
     RecordArray,
     record_type,
 )
+from firmware_model.law.supervision.echoes import KEPT_TICKS
+from firmware_model.law.supervision.whitener import WHITENER_SECTIONS
 
 HOST_FLAGS: Final = ("-std=c99", "-ffp-contract=off")
 
@@ -218,6 +218,7 @@ def random_table(
     table.mismatch.n = 0 if random.random() < 0.1 else cars.n + 3
     table.reference_shaper.enabled = random.integers(0, 2)
     table.compensator.on_confirmation = random.integers(0, 2)
+    table.supervised = int(random.random() < 0.9)
     table.bumpless_transfer.slowest_pace = random.exponential()
     takeover = table.takeover
     takeover.enabled = random.integers(0, 2)

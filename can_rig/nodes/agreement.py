@@ -48,8 +48,11 @@ WHOLE: Final = 0
 UNSETTLED_S: Final = 5.0
 """How long a node waits for the key when it knows that the scenarios are not the same."""
 
-ANSWERED_S: Final = 0.25
+ANSWERED_S: Final = 0.5
 """How long a rig waits, before its start, for an answer of another rig on a quiet bus."""
+
+ASK_AGAIN_S: Final = 0.05
+"""How soon the rig asks again: the nodes of another rig that is starting hear no question yet."""
 
 BUSY_S: Final = 2.0
 """How long the rig waits where frames of a rig are on the bus: a busy machine answers late."""
@@ -142,14 +145,25 @@ class Agreement:
             # a foreign frame with the same identifier fails the check, and belongs into the log
             if message is not None and (said := self._other_frame.read(message)) is not None:
                 self._hear(said)
-            elif message is not None and (said := self._own_frame.read(message)) is not None:
-                self._hear_own_kind(said)
+            elif message is not None and self.hears_its_kind(message):
+                continue
             elif self._differs_ns is None:
                 return message
             elif self._clock.now_ns() - self._differs_ns > UNSETTLED_S * NS_PER_S:
                 raise self._refusal("the scenario")
             elif message is None:
                 return None
+
+    def hears_its_kind(self, message: can.Message) -> bool:
+        """Whether the frame is of a node of the same kind, or of this node.
+
+        Raises:
+            BusError: another node of the same kind is on the bus.
+        """
+        said = self._own_frame.read(message)
+        if said is not None:
+            self._hear_own_kind(said)
+        return said is not None
 
     def _say(self, key: int) -> None:
         self._put(Comparison(key, self._digests[key]))
@@ -236,13 +250,15 @@ def require_alone(scenario: Scenario, bus_name: str) -> None:
     network = network_of(scenario)
     comparison = [ComparisonFrame(each).frame_id for each in SENDERS]
     with open_for_node(bus_name, (*network.identifiers, *comparison), False, network.fd) as bus:
-        for name in SENDERS:
-            asking = Agreement(scenario, name, bus, SYSTEM_CLOCK)
-            asking.ask()
-            begin_ns, wait_s = SYSTEM_CLOCK.now_ns(), ANSWERED_S / len(SENDERS)
-            while (left_s := wait_s - (SYSTEM_CLOCK.now_ns() - begin_ns) / NS_PER_S) > 0:
-                frame = asking.recv(left_s)
-                if frame is None:
+        kinds = [Agreement(scenario, name, bus, SYSTEM_CLOCK) for name in SENDERS]
+        begin_ns, wait_s = SYSTEM_CLOCK.now_ns(), ANSWERED_S
+        while (left_s := wait_s - (SYSTEM_CLOCK.now_ns() - begin_ns) / NS_PER_S) > 0:
+            for kind in kinds:
+                kind.ask()
+            pause_ns = SYSTEM_CLOCK.now_ns() + round(min(left_s, ASK_AGAIN_S) * NS_PER_S)
+            while (pause_s := (pause_ns - SYSTEM_CLOCK.now_ns()) / NS_PER_S) > 0:
+                frame = bus.recv(pause_s)
+                if frame is None or any(kind.hears_its_kind(frame) for kind in kinds):
                     continue
                 if (
                     frame.arbitration_id | frame.is_extended_id * EXTENDED_FLAG

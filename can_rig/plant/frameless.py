@@ -40,7 +40,7 @@ from firmware_model.analysis.simulation import LoopPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law import controller
 from firmware_model.law.structs import FloatArray, RecordArray
-from firmware_model.law.takeover import UNKNOWN
+from firmware_model.law.supervision.takeover import UNKNOWN
 
 
 @dataclass(frozen=True)

@@ -149,8 +149,7 @@ class Recorded:
     The commands of a tick are missing in the log, or follow the reference of the tick from whose
     deadline on the commands should have acted. The recorded controller told F1 the values that the
     actuators applied meanwhile (`nodes.realtime.controller_node`); a replay must do the same.
-    Outages after which the controller took over anew (`firmware_model.law.takeover`) are not
-    replayed.
+    Outages after which the controller took over anew (`law.supervision.takeover`) are not replayed.
     """
 
     scenario: Scenario

@@ -251,6 +251,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         false_alarms_per_hour=scenario.budget.false_alarms_per_hour,
         suspicions_per_hour=scenario.budget.suspicions_per_hour,
         on_confirmation=chosen.compensation == "on-confirmation",
+        supervised=chosen.supervision == "full",
         safe_stop_s=chosen.safe_stop_s,
         blind_s=limits.blind_s,
         monitor=limits.monitor,

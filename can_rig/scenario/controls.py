@@ -20,9 +20,9 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.schedules import AtSpeed, Scheduled, schedule
 from firmware_model.discretisation.tables import build
 from firmware_model.errors import DesignError
-from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.law.layout import Table
 from firmware_model.law.structs import FloatArray
+from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
 
 MOST_TABLES = 16  # limit of the cache
 

@@ -269,9 +269,17 @@ class DesignSettings:
     feedback: bool = True
     estimator: Rule = "tustin"
     compensation: Literal["always", "on-confirmation", "off"] = "always"
+    supervision: Literal["full", "none"] = "full"
     safe_stop_s: NonNegativeFloat = 0.2
     precision: Precision = "float64"
     speeds_mps: tuple[DesignSpeed, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.supervision == "none" and self.compensation == "on-confirmation":
+            raise ValueError(
+                'compensation = \'on-confirmation\': must be "always" or "off"; without a '
+                "supervision no loss is confirmed"
+            )
 
 
 @dataclass(frozen=True, config=STRICT)

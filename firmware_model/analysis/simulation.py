@@ -37,12 +37,12 @@ from firmware_model.analysis.loop import (
 from firmware_model.analysis.sampled_plant import AnyPlant, SampledPlant, follow
 from firmware_model.analysis.world_loop import run_changing
 from firmware_model.law import controller as law
-from firmware_model.law.further_sensors import hear_first
-from firmware_model.law.knowledge import saved_in
 from firmware_model.law.layout import Table, precision_of, table_type
 from firmware_model.law.schedule import Constants, change_first_speed
 from firmware_model.law.schedule import State as BlendState
 from firmware_model.law.structs import BoolArray, FloatArray, RecordArray, record_type
+from firmware_model.law.supervision.further_sensors import hear_first
+from firmware_model.law.supervision.knowledge import saved_in
 
 
 @dataclass(frozen=True)

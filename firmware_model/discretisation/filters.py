@@ -30,7 +30,7 @@ from firmware_model.discretisation.systems import (
 )
 from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import ParameterError
-from firmware_model.law.filters import biquad
+from firmware_model.law.core import biquad
 from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Precision, RecordArray, record_type
 
 KEYWORDS: Final = """

@@ -15,7 +15,7 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.held_input import sampled, zeros_of
 from firmware_model.discretisation.sections import ComplexArray, Sections
 from firmware_model.discretisation.systems import Polynomials, StateSpace
-from firmware_model.law.filters import biquad
+from firmware_model.law.core import biquad
 from firmware_model.law.structs import FloatArray, Precision, RecordArray, record_type
 
 ROUNDING: dict[Precision, float] = {"float64": 2.0**-53, "float32": 2.0**-24}

@@ -1,7 +1,7 @@
 """A continuous design, discretised at a tick, as the constant table that ``step`` runs from.
 
 The table has the filters of the law, the delays around them, the gains of the loops within one
-tick, and the constants of ``target.fault_decision.hypotheses``.
+tick, and the constants of ``law.supervision``.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ from firmware_model.discretisation.targets import Reporting, Target, Witness
 from firmware_model.discretisation.tustin import tustin, zoh
 from firmware_model.discretisation.whitening import Whitening, whitening
 from firmware_model.errors import DesignError, ParameterError
-from firmware_model.law.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
-from firmware_model.law.fault_decision.echoes import Constants as EchoesConstants
-from firmware_model.law.fault_decision.hypotheses.frozen import Constants as FrozenConstants
-from firmware_model.law.fault_decision.witness import Constants as WitnessConstants
-from firmware_model.law.filters import biquad, whitener
-from firmware_model.law.filters.estimator import Constants as EstimatorConstants
+from firmware_model.law.core import biquad
+from firmware_model.law.core.estimator import Constants as EstimatorConstants
 from firmware_model.law.layout import Table, table_type
 from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SECTIONS
+from firmware_model.law.supervision import whitener
+from firmware_model.law.supervision.covariance import LOSS_STATES, MAX_DIRECTIONS
+from firmware_model.law.supervision.echoes import Constants as EchoesConstants
+from firmware_model.law.supervision.frozen import Constants as FrozenConstants
+from firmware_model.law.supervision.witness import Constants as WitnessConstants
 
 AHEAD = 2.0  # least ratio of a found fault's evidence to faults at other places
 SENSOR_AHEAD = 3.0  # the ratio for a sensor fault, where an error costs a compensation
@@ -244,6 +245,7 @@ def build(design: ContinuousDesign, target: Target) -> Table:
         )
     tables = np.zeros(1, table_type(target.precision))
     table = tables[0]
+    table.supervised = target.supervised
     _fill_loop(table, design, target, filters, dead)
     _fill_estimator(table.estimator, target, filters, dead)
     _fill_compensator(table, design, target, filters, loop_gain)

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from firmware_model.discretisation.sections import Sections, energy_of, realisation
 from firmware_model.discretisation.targets import Target
-from firmware_model.law.takeover import Constants
+from firmware_model.law.supervision.takeover import Constants
 
 MEMORY_S: Final = 0.05
 LEAST_MEMORY: Final = 3.0

@@ -71,6 +71,7 @@ class Target:
         suspicions_per_hour: false suspicions, at most.
         on_confirmation: compensate from the confirmed loss on, with the modelled effect of the lost
             channel's commands, instead of always with d̂ (the thesis).
+        supervised: decide on faults, and act on the verdict; otherwise the thesis's law alone.
         safe_stop_s: time from the verdict "both actuators lost" to zero commands; 0: the commands
             go on.
         blind_s: longest time without an input; then the commands go to zero in the same time.
@@ -101,6 +102,7 @@ class Target:
     false_alarms_per_hour: float = 0.001
     suspicions_per_hour: float = 3600.0
     on_confirmation: bool = False
+    supervised: bool = True
     safe_stop_s: float = 0.0
     blind_s: float = 1.0
     monitor: bool = True

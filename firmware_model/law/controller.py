@@ -1,12 +1,8 @@
-"""The control law, once: u1 = C(r - y), d̂ = F1 u + F2 y, u2 = F̂ d̂ (2.1), (2.37), (3.32).
-
-For an unstable plant read N1, N2 and M y in place of G1, G2 and y (``filters.estimator``).
+"""The control law, once: the thesis's law (``core.thesis``), supervised, watched by the monitor.
 
 Every runner calls ``step``: a node on a bus, a simulation, a replay, a batch of thousands. ``step``
-allocates no memory and reads only its arguments.
-
-**Commands as the plant gets them.** A command is first saturated in magnitude and rate and rounded
-to the resolution of its frame; the estimator works on the resulting value.
+allocates no memory and reads only its arguments. A table that is not ``supervised`` runs the
+thesis's law and the monitor alone.
 
 **Compensation on confirmation.** The thesis feeds F̂ with d̂, and d̂ waits for the bus twice: once
 in the model, once on the way of u2. After a confirmed loss the controller knows the lost channel's
@@ -18,11 +14,11 @@ frozen sensor gives no information: its measurement counts as missing. With both
 commands go to zero, if the table asks for a safe stop. F̂ on d̂ compensates under every verdict.
 
 **Inputs that are missing.** The model's prediction stands in for a missing measurement
-(``filters.prediction``): C is a feedforward then, and only the decision waits. Without a reference
-the controller holds the commands. The held commands act on the plant, so every model of the plant
-goes on with them: F1, w (a lost channel owes these commands too), and F̂ where F̂ works on w. After
-the longest time without an input the commands go to zero, until both inputs come. Below the lowest
-design the controller stands by (``standby``).
+(``supervision.prediction``): C is a feedforward then, and only the decision waits. Without a
+reference the controller holds the commands. The held commands act on the plant, so every model of
+the plant goes on with them: F1, w (a lost channel owes these commands too), and F̂ where F̂ works on
+w. After the longest time without an input the commands go to zero, until both inputs come. Below
+the lowest design the controller stands by (``standby``).
 """
 
 from __future__ import annotations
@@ -33,9 +29,35 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from firmware_model.compiled import firmware
-from firmware_model.law.actuator import quantise, saturate, saturate_rate
-from firmware_model.law.fault_decision.bumpless_transfer import release, transfer
-from firmware_model.law.fault_decision.decision import (
+from firmware_model.law.core.actuator import quantise, saturate
+from firmware_model.law.core.biquad import advance, settle
+from firmware_model.law.core.estimator import (
+    model_output,
+    settle_estimator,
+    take_measurement,
+)
+from firmware_model.law.core.reference_shaper import start, tracked_reference
+from firmware_model.law.core.thesis import (
+    MODE_BLIND,
+    MODE_RUN,
+    begin_tick,
+    command_force,
+    command_torque,
+    end_tick,
+    run_alone,
+)
+from firmware_model.law.core.tracking import (
+    missing_output,
+    settle_tracking,
+    track_on,
+)
+from firmware_model.law.layout import precision_of, state_type
+from firmware_model.law.monitor import COMPENSATION_OFF, clear_monitor, watch
+from firmware_model.law.precision import real
+from firmware_model.law.status import Mode
+from firmware_model.law.structs import RecordArray
+from firmware_model.law.supervision.bumpless_transfer import release, transfer
+from firmware_model.law.supervision.decision import (
     CLEAR,
     CONFIRMED,
     compensated_output,
@@ -44,52 +66,28 @@ from firmware_model.law.fault_decision.decision import (
     show_acting_commands,
     withdraw_loss,
 )
-from firmware_model.law.fault_decision.echoes import advance_echoes, settle_echoes
-from firmware_model.law.fault_decision.hypotheses.sensor_error import advance_sensor_error
-from firmware_model.law.fault_decision.hypotheses.signatures import advance_signatures
-from firmware_model.law.fault_decision.hypotheses.verdict import (
-    NOTHING,
-    SENSOR_FROZEN,
-    SENSOR_WRONG,
-    believe_with_witness,
-    clear_hypotheses,
-)
-from firmware_model.law.fault_decision.likelihood_ratio import (
+from firmware_model.law.supervision.echoes import advance_echoes, settle_echoes
+from firmware_model.law.supervision.knowledge import known_offset, recall_car, recall_loss, save
+from firmware_model.law.supervision.likelihood_ratio import (
     advance_candidate,
     start_candidate,
 )
-from firmware_model.law.fault_decision.loss_model import (
+from firmware_model.law.supervision.loss_model import (
     advance_loss_model,
     clear_loss_model,
     missing_shown,
 )
-from firmware_model.law.fault_decision.mismatch import (
+from firmware_model.law.supervision.mismatch import (
     clear_mismatch,
     doubt_motion,
     settle_mismatch,
 )
-from firmware_model.law.fault_decision.other_cars import (
+from firmware_model.law.supervision.other_cars import (
     advance_other_cars,
     settle_other_cars,
 )
-from firmware_model.law.fault_decision.safe_stop import stops, take_commands_back
-from firmware_model.law.fault_decision.witness import (
-    advance_witness,
-    forget_loss,
-    has_news,
-    refutes,
-    said,
-    settle_witness,
-    weigh_witness,
-)
-from firmware_model.law.filters.biquad import advance, output, settle
-from firmware_model.law.filters.estimator import (
-    advance_model,
-    model_output,
-    settle_estimator,
-    take_measurement,
-)
-from firmware_model.law.filters.prediction import (
+from firmware_model.law.supervision.overflow import clear_memories
+from firmware_model.law.supervision.prediction import (
     clear_prediction,
     distrust,
     follow_witness,
@@ -98,25 +96,11 @@ from firmware_model.law.filters.prediction import (
     stand_in,
     turn_to_witness,
 )
-from firmware_model.law.filters.shortfall import make_up
-from firmware_model.law.filters.tracking import (
-    advance_shortfalls,
-    asked_torque,
-    missing_output,
-    settle_tracking,
-    track,
-    track_on,
-)
-from firmware_model.law.knowledge import known_offset, recall_car, recall_loss, save
-from firmware_model.law.layout import precision_of, state_type
-from firmware_model.law.monitor import COMPENSATION_OFF, clear_monitor, watch
-from firmware_model.law.overflow import clear_memories
-from firmware_model.law.precision import real
-from firmware_model.law.reference_shaper import start, tracked_reference
-from firmware_model.law.standby import stands_by, take_commands_down
-from firmware_model.law.status import Mode
-from firmware_model.law.structs import RecordArray
-from firmware_model.law.takeover import (
+from firmware_model.law.supervision.safe_stop import stops, take_commands_back
+from firmware_model.law.supervision.sensor_error import advance_sensor_error
+from firmware_model.law.supervision.signatures import advance_signatures
+from firmware_model.law.supervision.standby import stands_by, take_commands_down
+from firmware_model.law.supervision.takeover import (
     AT_REST,
     BEGUN,
     UNKNOWN,
@@ -129,13 +113,28 @@ from firmware_model.law.takeover import (
     show_motion,
     wanted_level,
 )
+from firmware_model.law.supervision.verdict import (
+    NOTHING,
+    SENSOR_FROZEN,
+    SENSOR_WRONG,
+    believe_with_witness,
+    clear_hypotheses,
+)
+from firmware_model.law.supervision.witness import (
+    advance_witness,
+    forget_loss,
+    has_news,
+    refutes,
+    said,
+    settle_witness,
+    weigh_witness,
+)
 
 if TYPE_CHECKING:
     from firmware_model.law.layout import State, Table
 
 
-MODE_STANDBY, MODE_RUN, MODE_BLIND = int(Mode.STANDBY), int(Mode.RUN), int(Mode.BLIND)
-MODE_SAFE_STOP = int(Mode.SAFE_STOP)
+MODE_STANDBY, MODE_SAFE_STOP = int(Mode.STANDBY), int(Mode.SAFE_STOP)
 
 
 def init(table: Table, n: int = 1) -> RecordArray:
@@ -175,7 +174,9 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         measured = math.isfinite(y)
     seen = (measured and state.witness.denied == 0) or state.witness.left > 0
     predicts = table.prediction.enabled == 1 and state.takeover.pending == BEGUN
-    if stops(table, state, told and seen):
+    if table.supervised == 0:
+        run_alone(table, state, r, y)
+    elif stops(table, state, told and seen):
         take_commands_back(table, state)
         go_on(table, state)
         state.mode = MODE_SAFE_STOP
@@ -242,52 +243,35 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     show_motion(table.estimator.channel_1, state.takeover)
     r = led_reference(table.takeover, state.takeover, r)
     listening = measured and listens(table.takeover, state.takeover)
-    held_1, held_2 = state.command_1, state.command_2
-    estimator, compensator = table.estimator, table.compensator
-
-    # Every filter's answer to zero input: the output before this tick's commands.
-    zero = real(0.0, held_1)
-    rest_1, before_2 = model_output(estimator, state.estimator, zero, held_2)
+    held_1, held_2, tick = state.command_1, state.command_2, state.tick
+    begin_tick(table, state)
+    model = tick.model_1 + tick.model_2
     if table.witness.longest > 0:
-        witness(table, state, y, rest_1 + before_2)
+        witness(table, state, y, model)
         measured = measured and state.witness.denied == 0
-    y = measurement_or_prediction(table, state, y, measured, rest_1 + before_2)
+    y = measurement_or_prediction(table, state, y, measured, model)
     tracked = tracked_reference(table, state, r)
     seen = y + state.prediction.fading + missing_output(table, state)
-    wanted = tracked - table.tracking.feedback * seen
-    torque = asked_torque(table.tracking, state.tracking, wanted + table.tracking.feedback * rest_1)
-    made_up = make_up(table.shortfall_1, estimator.channel_1, table.actuator_1, state.shortfall_1)
-    wish_1 = torque + made_up
-    possible_1 = saturate_rate(table.actuator_1, wish_1, held_1)
-    state.command_1 = quantise(table.actuator_1, state.actuator_1, possible_1)
-
-    model_1, model_2 = model_output(estimator, state.estimator, state.command_1, zero)
-    error = wanted + table.tracking.feedback * model_1
-    track(table.tracking, state.tracking, error, state.command_1)
-    known = model_1 + model_2 - take_measurement(estimator, state.estimator, y)
+    command_torque(table, state, tracked, seen, y)
 
     # Without feedthrough of u2 the sum is the residual; with feedthrough u2 of this tick is
     # missing.
     if measured and not listening:
-        decide(table, state, known + estimator.feedthrough_2 * held_2, model_1, model_2)
+        residual = tick.residual + table.estimator.feedthrough_2 * held_2
+        decide(table, state, residual, tick.model_1, tick.model_2)
     else:
         show_acting_commands(table, state)
 
-    force, made_up, drive = asked_force(table, state, r, known)
-    wish_2 = force + made_up
-    possible_2 = saturate_rate(table.actuator_2, wish_2, held_2)
-    state.command_2 = quantise(table.actuator_2, state.actuator_2, possible_2)
-
-    residual = known + estimator.feedthrough_2 * state.command_2
-    estimate = advance(estimator.one_plus_q, state.estimator.one_plus_q, residual)
-    drive = drive if compensator.on_confirmation > 0 else estimate
-    advance(compensator.filter, state.compensator.filter, drive)
-    if not (math.isfinite(wish_1) and math.isfinite(wish_2)):
+    loss = real(0.0, held_1)
+    if table.compensator.on_confirmation > 0:  # F̂ works on s w, with the w of this tick's command
+        loss = transfer(state.bumpless_transfer, compensated_output(table, state))
+    estimate = command_force(table, state, r, loss)
+    if tick.overflows == 1:
         forget(table, state, held_1, held_2)
         return
     state.fault_estimate = estimate
     state.mode = MODE_RUN if measured else MODE_BLIND
-    advance_models(table, state, torque - possible_1, force - possible_2)
+    advance_models(table, state, tick.asked_1 - tick.possible_1, tick.asked_2 - tick.possible_2)
 
 
 @firmware
@@ -308,28 +292,6 @@ def witness(table: Table, state: State, y: float, model_output: float) -> None:
         state.hypotheses.verdict = SENSOR_WRONG
     elif before == 1:
         state.hypotheses.verdict = NOTHING
-
-
-@firmware
-def asked_force(table: Table, state: State, r: float, known: float) -> tuple[float, float, float]:
-    """Return u2 before its limits, its make-up, and the input of F̂ on a known loss.
-
-    ``known``: the residual, less the u2 of this tick.
-    """
-    estimator, compensator, zero = table.estimator, table.compensator, real(0.0, known)
-    rest = output(compensator.filter, state.compensator.filter, zero)
-    force = compensator.reference_share * r + rest
-    made_up = make_up(table.shortfall_2, estimator.channel_2, table.actuator_2, state.shortfall_2)
-    if compensator.on_confirmation > 0:  # u2 = r2 + F̂ s w, with the w of this tick's command
-        drive = transfer(state.bumpless_transfer, compensated_output(table, state))
-        force = force + compensator.feedthrough * drive
-    else:  # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
-        estimate = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
-        estimate += estimator.one_plus_q_feedthrough * known
-        force = (force + compensator.feedthrough * estimate) * compensator.loop_inverse
-        made_up = made_up * compensator.loop_inverse
-        drive = zero
-    return force, made_up, drive
 
 
 @firmware
@@ -390,7 +352,6 @@ def advance_models(table: Table, state: State, short_1: float, short_2: float) -
 
     ``short_1`` and ``short_2`` are asked minus possible commands of the channels.
     """
-    advance_shortfalls(table, state, short_1, short_2)
     advance_loss_model(table, state)
     advance_candidate(table, state)
     advance_other_cars(table, state)
@@ -398,7 +359,7 @@ def advance_models(table: Table, state: State, short_1: float, short_2: float) -
     advance_echoes(table, state)
     advance_witness(table, state.witness)
     advance_sensor_error(table, state)
-    advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
+    end_tick(table, state, short_1, short_2)
     advance_motion(table.takeover, table.estimator.channel_1, state.takeover)
     if state.takeover.active and state.takeover.elapsed == table.takeover.listening:
         doubt_motion(table.mismatch, state.mismatch, doubt(table.takeover, state.takeover))

@@ -10,85 +10,83 @@ from typing import Annotated
 
 import numpy as np
 
-from firmware_model.law import actuator, knowledge, monitor, standby, status, takeover
-from firmware_model.law.fault_decision import (
-    likelihood_ratio,
-)
-from firmware_model.law.fault_decision.bumpless_transfer import (
-    Constants as BumplessTransferConstants,
-)
-from firmware_model.law.fault_decision.bumpless_transfer import (
-    State as BumplessTransferState,
-)
-from firmware_model.law.fault_decision.decision import (
-    Constants as DecisionConstants,
-)
-from firmware_model.law.fault_decision.echoes import Constants as EchoesConstants
-from firmware_model.law.fault_decision.echoes import State as EchoesState
-from firmware_model.law.fault_decision.hypotheses import verdict
-from firmware_model.law.fault_decision.loss_model import (
-    Constants as LossModelConstants,
-)
-from firmware_model.law.fault_decision.loss_model import (
-    State as LossModelState,
-)
-from firmware_model.law.fault_decision.mismatch import (
-    Constants as MismatchConstants,
-)
-from firmware_model.law.fault_decision.mismatch import (
-    State as MismatchState,
-)
-from firmware_model.law.fault_decision.other_cars import (
-    Constants as OtherCarsConstants,
-)
-from firmware_model.law.fault_decision.other_cars import (
-    State as OtherCarsState,
-)
-from firmware_model.law.fault_decision.safe_stop import (
-    Constants as SafeStopConstants,
-)
-from firmware_model.law.fault_decision.safe_stop import (
-    State as SafeStopState,
-)
-from firmware_model.law.fault_decision.witness import Constants as WitnessConstants
-from firmware_model.law.fault_decision.witness import State as WitnessState
-from firmware_model.law.filters import shortfall
-from firmware_model.law.filters.compensator import (
+from firmware_model.law import monitor, status
+from firmware_model.law.core import actuator, shortfall, thesis
+from firmware_model.law.core.compensator import (
     Constants as CompensatorConstants,
 )
-from firmware_model.law.filters.compensator import (
+from firmware_model.law.core.compensator import (
     State as CompensatorState,
 )
-from firmware_model.law.filters.estimator import (
+from firmware_model.law.core.estimator import (
     Constants as EstimatorConstants,
 )
-from firmware_model.law.filters.estimator import (
+from firmware_model.law.core.estimator import (
     State as EstimatorState,
 )
-from firmware_model.law.filters.prediction import (
-    Constants as PredictionConstants,
-)
-from firmware_model.law.filters.prediction import (
-    State as PredictionState,
-)
-from firmware_model.law.filters.tracking import (
-    Constants as TrackingConstants,
-)
-from firmware_model.law.filters.tracking import (
-    State as TrackingState,
-)
-from firmware_model.law.reference_shaper import (
+from firmware_model.law.core.reference_shaper import (
     Constants as ReferenceShaperConstants,
 )
-from firmware_model.law.reference_shaper import (
+from firmware_model.law.core.reference_shaper import (
     State as ReferenceShaperState,
 )
+from firmware_model.law.core.tracking import (
+    Constants as TrackingConstants,
+)
+from firmware_model.law.core.tracking import (
+    State as TrackingState,
+)
 from firmware_model.law.structs import Precision, Struct, record_type
+from firmware_model.law.supervision import knowledge, likelihood_ratio, standby, takeover, verdict
+from firmware_model.law.supervision.bumpless_transfer import (
+    Constants as BumplessTransferConstants,
+)
+from firmware_model.law.supervision.bumpless_transfer import (
+    State as BumplessTransferState,
+)
+from firmware_model.law.supervision.decision import (
+    Constants as DecisionConstants,
+)
+from firmware_model.law.supervision.echoes import Constants as EchoesConstants
+from firmware_model.law.supervision.echoes import State as EchoesState
+from firmware_model.law.supervision.loss_model import (
+    Constants as LossModelConstants,
+)
+from firmware_model.law.supervision.loss_model import (
+    State as LossModelState,
+)
+from firmware_model.law.supervision.mismatch import (
+    Constants as MismatchConstants,
+)
+from firmware_model.law.supervision.mismatch import (
+    State as MismatchState,
+)
+from firmware_model.law.supervision.other_cars import (
+    Constants as OtherCarsConstants,
+)
+from firmware_model.law.supervision.other_cars import (
+    State as OtherCarsState,
+)
+from firmware_model.law.supervision.prediction import (
+    Constants as PredictionConstants,
+)
+from firmware_model.law.supervision.prediction import (
+    State as PredictionState,
+)
+from firmware_model.law.supervision.safe_stop import (
+    Constants as SafeStopConstants,
+)
+from firmware_model.law.supervision.safe_stop import (
+    State as SafeStopState,
+)
+from firmware_model.law.supervision.witness import Constants as WitnessConstants
+from firmware_model.law.supervision.witness import State as WitnessState
 
 
 class Table(Struct):
     """The constant table."""
 
+    supervised: Annotated[int, "1", "0: the thesis's law alone"]
     reference_shaper: Annotated[ReferenceShaperConstants, "1", "limits r̈"]
     tracking: Annotated[TrackingConstants, "1", "C"]
     estimator: Annotated[EstimatorConstants, "1", "F1 and 1 + Q"]
@@ -115,6 +113,7 @@ class Table(Struct):
 class State(status.State):
     """State."""
 
+    tick: Annotated[thesis.State, "1", "what the stages of a tick hand on"]
     reference_shaper: Annotated[ReferenceShaperState, "1", "reference of C"]
     tracking: Annotated[TrackingState, "1", "C"]
     estimator: Annotated[EstimatorState, "1", "F1 and 1 + Q"]

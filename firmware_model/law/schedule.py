@@ -29,7 +29,7 @@ from firmware_model.law.structs import MAX_SECTIONS, FloatArray, RecordArray, St
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
-    from firmware_model.law.filters import biquad, shortfall
+    from firmware_model.law.core import biquad, shortfall
     from firmware_model.law.layout import Table
 
 

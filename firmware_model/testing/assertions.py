@@ -17,7 +17,7 @@ from firmware_model.discretisation.sections import ComplexArray
 from firmware_model.discretisation.systems import continuous, zero_pole_gain
 from firmware_model.discretisation.tustin import image_of_infinity
 from firmware_model.errors import ParameterError
-from firmware_model.law.filters import biquad
+from firmware_model.law.core import biquad
 from firmware_model.law.structs import FloatArray
 
 ROUNDINGS = 16

@@ -9,7 +9,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
-from firmware_model.law.filters.biquad import advance, at_rest
+from firmware_model.law.core.biquad import advance, at_rest
 from firmware_model.law.status import FaultState, Verdict
 
 TICK_S = 0.001

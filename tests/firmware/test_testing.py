@@ -17,7 +17,7 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.rounding import run_error
 from firmware_model.discretisation.sections import Sections
 from firmware_model.errors import DesignError, ParameterError
-from firmware_model.law.filters import biquad
+from firmware_model.law.core import biquad
 
 TICK_S = 1e-3
 BUTTERWORTH = signal.ZerosPolesGain(*signal.butter(4, 300.0, analog=True, output="zpk"))

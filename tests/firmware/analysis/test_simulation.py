@@ -19,7 +19,7 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Reporting, Target
 from firmware_model.firmware import Firmware
 from firmware_model.law.controller import init
-from firmware_model.law.takeover import UNKNOWN
+from firmware_model.law.supervision.takeover import UNKNOWN
 from tests.firmware.analysis.loops import CAR, SLOW
 from tests.firmware.scheduled import SPEEDS, scheduled
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_model.discretisation.sections import Sections, from_delta_zpk, realisation
-from firmware_model.law.filters import biquad
+from firmware_model.law.core import biquad
 from firmware_model.law.structs import record_type
 
 coefficient = st.sampled_from([0.0, 0.5, -0.7, 1.0, 2.0])

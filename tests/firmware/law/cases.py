@@ -11,8 +11,8 @@ from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.mismatch import Channels, Mismatch, principal_mismatch
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.vehicle import VehicleParameters
-from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS, MAX_STATES
 from firmware_model.law.structs import FloatArray, RecordArray
+from firmware_model.law.supervision.covariance import MAX_DIRECTIONS, MAX_STATES
 
 NOMINAL = VehicleParameters()
 CAR = steer_by_wire(NOMINAL)

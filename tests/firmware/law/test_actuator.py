@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_model.law.actuator import Constants, State, quantise, saturate, saturate_rate
+from firmware_model.law.core.actuator import Constants, State, quantise, saturate, saturate_rate
 from firmware_model.law.structs import record_type
 
 some = st.floats(-1e3, 1e3)

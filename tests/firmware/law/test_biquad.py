@@ -14,7 +14,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tustin import tustin, zoh
-from firmware_model.law.filters.biquad import (
+from firmware_model.law.core.biquad import (
     Constants,
     advance,
     at_rest,

@@ -17,8 +17,8 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import HASTE, SLOWEST_TRANSFER_S, build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer, release, transfer
 from firmware_model.law.status import FaultState
+from firmware_model.law.supervision.bumpless_transfer import begin_transfer, release, transfer
 
 TICK_S, LOST = 1e-3, 600
 CAR = steer_by_wire()

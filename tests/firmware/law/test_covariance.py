@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from firmware_model.law.fault_decision import covariance
-from firmware_model.law.fault_decision.covariance import (
+from firmware_model.law.structs import Precision, record_type
+from firmware_model.law.supervision import covariance
+from firmware_model.law.supervision.covariance import (
     LOSS_STATES,
     MAX_STATES,
     clear_covariance,
@@ -21,7 +22,6 @@ from firmware_model.law.fault_decision.covariance import (
     replace_loss,
     variance_of,
 )
-from firmware_model.law.structs import Precision, record_type
 
 Matrix = NDArray[np.float64]
 N = MAX_STATES

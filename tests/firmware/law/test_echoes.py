@@ -15,11 +15,11 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Reporting, Target
 from firmware_model.firmware import Answer, Firmware
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.echoes import KEPT_TICKS
-from firmware_model.law.fault_decision.hypotheses.verdict import standing
-from firmware_model.law.further_sensors import hear
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray
+from firmware_model.law.supervision.echoes import KEPT_TICKS
+from firmware_model.law.supervision.further_sensors import hear
+from firmware_model.law.supervision.verdict import standing
 from tests.firmware.law.cases import CAR, TICK_S
 
 LAGS = (Stage(0.005), Stage(0.015))

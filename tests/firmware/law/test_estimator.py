@@ -15,8 +15,8 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin
 from firmware_model.law.controller import init
-from firmware_model.law.filters import biquad
-from firmware_model.law.filters.estimator import (
+from firmware_model.law.core import biquad
+from firmware_model.law.core.estimator import (
     advance_model,
     clear_estimator,
     model_output,

@@ -14,18 +14,18 @@ from scipy import optimize, signal, stats
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.candidate import (
+from firmware_model.law.structs import FloatArray, RecordArray
+from firmware_model.law.supervision.candidate import (
     likeliest,
     take_in,
 )
-from firmware_model.law.fault_decision.hypotheses.frozen import weigh_frozen
-from firmware_model.law.fault_decision.hypotheses.signatures import (
+from firmware_model.law.supervision.frozen import weigh_frozen
+from firmware_model.law.supervision.mismatch import innovation
+from firmware_model.law.supervision.signatures import (
     advance_signatures,
     begin_all,
     weigh_signatures,
 )
-from firmware_model.law.fault_decision.mismatch import innovation
-from firmware_model.law.structs import FloatArray, RecordArray
 from tests.firmware.law.cases import CAR, DESIGN, TICK_S, changed, other_cars
 
 TICKS = 60

@@ -13,9 +13,10 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
-from firmware_model.law import controller, knowledge
+from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import Precision
+from firmware_model.law.supervision import knowledge
 from tests.firmware.law.cases import other_cars
 
 TICK_S = 0.001

@@ -13,13 +13,17 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.likelihood_ratio import (
+from firmware_model.law.core.biquad import output
+from firmware_model.law.core.estimator import advance_model
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import FloatArray
+from firmware_model.law.supervision.likelihood_ratio import (
     advance_candidate,
     candidate_output,
     candidate_shown,
     start_candidate,
 )
-from firmware_model.law.fault_decision.loss_model import (
+from firmware_model.law.supervision.loss_model import (
     advance_loss_model,
     clear_loss_model,
     earlier_shown,
@@ -31,11 +35,7 @@ from firmware_model.law.fault_decision.loss_model import (
     loss_shown,
     take_over_candidate,
 )
-from firmware_model.law.filters.biquad import output
-from firmware_model.law.filters.estimator import advance_model
-from firmware_model.law.filters.whitener import whiten
-from firmware_model.law.status import FaultState
-from firmware_model.law.structs import FloatArray
+from firmware_model.law.supervision.whitener import whiten
 from tests.firmware.law.cases import CAR, DESIGN, TICK_S
 
 COMMANDS = np.cumsum(np.random.default_rng(1).standard_normal(30))

@@ -13,9 +13,8 @@ from scipy import signal
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.tustin import tustin, zoh
-from firmware_model.law import actuator
-from firmware_model.law.filters import biquad, shortfall
-from firmware_model.law.filters.shortfall import make_up
+from firmware_model.law.core import actuator, biquad, shortfall
+from firmware_model.law.core.shortfall import make_up
 from firmware_model.law.structs import record_type
 
 ROWS = {

@@ -11,14 +11,14 @@ import pytest
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.hypotheses.verdict import clear_hypotheses
-from firmware_model.law.fault_decision.likelihood_ratio import start_candidate
-from firmware_model.law.fault_decision.witness import settle_witness
 from firmware_model.law.layout import State
-from firmware_model.law.overflow import clear_memories
 from firmware_model.law.status import FaultState, Mode
 from firmware_model.law.structs import Struct, fields_of
-from firmware_model.law.takeover import end_takeover
+from firmware_model.law.supervision.likelihood_ratio import start_candidate
+from firmware_model.law.supervision.overflow import clear_memories
+from firmware_model.law.supervision.takeover import end_takeover
+from firmware_model.law.supervision.verdict import clear_hypotheses
+from firmware_model.law.supervision.witness import settle_witness
 from tests.firmware.law.cases import CAR, DESIGN, TICK_S, other_cars
 
 LATENCY = 3

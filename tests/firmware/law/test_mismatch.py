@@ -14,20 +14,20 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.covariance import MAX_STATES
-from firmware_model.law.fault_decision.mismatch import (
+from firmware_model.law.structs import RecordArray
+from firmware_model.law.supervision.covariance import MAX_STATES
+from firmware_model.law.supervision.mismatch import (
     difference,
     innovation,
     learn_loss,
     predict_mismatch,
     settle_mismatch,
 )
-from firmware_model.law.fault_decision.other_cars import (
+from firmware_model.law.supervision.other_cars import (
     advance_other_cars,
     settle_other_cars,
     show_other_cars,
 )
-from firmware_model.law.structs import RecordArray
 from tests.firmware.law.cases import CAR, DESIGN, TICK_S, changed, covariance_of, other_cars
 
 COLOUR, NOISE_RMS = 0.6, 0.01

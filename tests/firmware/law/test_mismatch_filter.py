@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from firmware_model.law.fault_decision import mismatch
-from firmware_model.law.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS, MAX_STATES
-from firmware_model.law.fault_decision.mismatch import clear_mismatch, innovation, learn_loss
 from firmware_model.law.structs import Precision, record_type
+from firmware_model.law.supervision import mismatch
+from firmware_model.law.supervision.covariance import LOSS_STATES, MAX_DIRECTIONS, MAX_STATES
+from firmware_model.law.supervision.mismatch import clear_mismatch, innovation, learn_loss
 from tests.firmware.law.cases import covariance_of
 
 COLOUR = 0.6

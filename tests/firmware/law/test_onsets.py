@@ -13,9 +13,9 @@ from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.candidate import has_failed, start, take_in
-from firmware_model.law.fault_decision.hypotheses.frozen import weigh_frozen
-from firmware_model.law.fault_decision.hypotheses.signatures import (
+from firmware_model.law.supervision.candidate import has_failed, start, take_in
+from firmware_model.law.supervision.frozen import weigh_frozen
+from firmware_model.law.supervision.signatures import (
     advance_signatures,
     answers_no_more,
     weigh_signatures,

@@ -14,14 +14,14 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.other_cars import (
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import FloatArray
+from firmware_model.law.supervision.other_cars import (
     advance_other_cars,
     clear_other_cars,
     settle_other_cars,
     show_other_cars,
 )
-from firmware_model.law.status import FaultState
-from firmware_model.law.structs import FloatArray
 from tests.firmware.law.cases import CAR, DESIGN, NEVER, TICK_S, changed, other_cars
 
 

@@ -17,8 +17,8 @@ from firmware_model.discretisation.coprime import sampled_factors, sampled_over
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.filters.biquad import advance, at_rest
-from firmware_model.law.filters.estimator import model_output
+from firmware_model.law.core.biquad import advance, at_rest
+from firmware_model.law.core.estimator import model_output
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
 from tests.firmware.discretisation.test_coprime import (

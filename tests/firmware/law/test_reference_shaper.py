@@ -17,7 +17,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.reference_shaper import braking_speed, shape_reference, start
+from firmware_model.law.core.reference_shaper import braking_speed, shape_reference, start
 
 TICK_S, LARGEST = 1e-3, 0.25  # a power of two: sums of it are exact
 CAR = steer_by_wire()

@@ -14,7 +14,7 @@ from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.discretisation.sections import Sections
 from firmware_model.firmware import Firmware
 from firmware_model.law import controller
-from firmware_model.law.filters.biquad import advance, at_rest
+from firmware_model.law.core.biquad import advance, at_rest
 from firmware_model.law.schedule import place_of
 from tests.firmware.scheduled import LAGS, SPEEDS, TARGET, TICK_S, Blended, car, scheduled
 

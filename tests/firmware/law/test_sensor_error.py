@@ -10,19 +10,19 @@ import pytest
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.hypotheses.sensor_error import (
+from firmware_model.law.core import biquad
+from firmware_model.law.structs import FloatArray
+from firmware_model.law.supervision.mismatch import innovation
+from firmware_model.law.supervision.sensor_error import (
     advance_sensor_error,
     learn_sensor_error,
     sensor_error_shown,
 )
-from firmware_model.law.fault_decision.hypotheses.signatures import (
+from firmware_model.law.supervision.signatures import (
     advance_signatures,
     begin_all,
     weigh_signatures,
 )
-from firmware_model.law.fault_decision.mismatch import innovation
-from firmware_model.law.filters import biquad
-from firmware_model.law.structs import FloatArray
 from tests.firmware.law.cases import DESIGN, TICK_S, changed, other_cars
 
 TICKS, FOUND = 60, 25

@@ -23,14 +23,14 @@ from firmware_model.discretisation.tables import SHARE, build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.likelihood_ratio import (
+from firmware_model.law.core.biquad import output
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import FloatArray, RecordArray
+from firmware_model.law.supervision.likelihood_ratio import (
     is_stale,
     lost_share,
     start_candidate,
 )
-from firmware_model.law.filters.biquad import output
-from firmware_model.law.status import FaultState
-from firmware_model.law.structs import FloatArray, RecordArray
 from tests.firmware.law.cases import CAR, DESIGN, NEVER, TICK_S, changed, other_cars
 
 PLANT = sample(CAR, TICK_S)

@@ -17,18 +17,18 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.decision import confirm, recover
-from firmware_model.law.fault_decision.likelihood_ratio import (
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import FloatArray
+from firmware_model.law.supervision.decision import confirm, recover
+from firmware_model.law.supervision.likelihood_ratio import (
     advance_candidate,
     forget_candidate,
     start_candidate,
     update_test,
 )
-from firmware_model.law.fault_decision.loss_model import known_share
-from firmware_model.law.fault_decision.mismatch import innovation, predict_mismatch
-from firmware_model.law.fault_decision.other_cars import advance_other_cars, show_other_cars
-from firmware_model.law.status import FaultState
-from firmware_model.law.structs import FloatArray
+from firmware_model.law.supervision.loss_model import known_share
+from firmware_model.law.supervision.mismatch import innovation, predict_mismatch
+from firmware_model.law.supervision.other_cars import advance_other_cars, show_other_cars
 from tests.firmware.law.cases import CAR, DESIGN, TICK_S, changed, other_cars
 
 PLANT = sample(CAR, TICK_S)

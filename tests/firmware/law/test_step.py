@@ -15,12 +15,12 @@ from firmware_model.design.plants import chapter_2
 from firmware_model.discretisation.tables import Filters, build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.bumpless_transfer import transfer
-from firmware_model.law.fault_decision.decision import compensated_output
-from firmware_model.law.filters.biquad import advance
-from firmware_model.law.filters.shortfall import make_up
-from firmware_model.law.filters.tracking import missing_output, track_on
+from firmware_model.law.core.biquad import advance
+from firmware_model.law.core.shortfall import make_up
+from firmware_model.law.core.tracking import missing_output, track_on
 from firmware_model.law.status import FaultState, Mode
+from firmware_model.law.supervision.bumpless_transfer import transfer
+from firmware_model.law.supervision.decision import compensated_output
 from tests.firmware.law.cases import DESIGN, NEVER, TICK_S, changed, other_cars
 
 OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))

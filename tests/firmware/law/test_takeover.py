@@ -16,7 +16,7 @@ from firmware_model.discretisation.takeover import LISTENING, largest_variance, 
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.law.status import FaultState, Mode
-from firmware_model.law.takeover import wanted_level
+from firmware_model.law.supervision.takeover import wanted_level
 from tests.firmware.law.cases import other_cars
 
 TICK_S = 0.001

@@ -9,12 +9,12 @@ from typing import Annotated
 import pytest
 from mypy import api
 
-from firmware_model.law.filters import biquad
+from firmware_model.law.core import biquad
 from firmware_model.law.structs import FloatArray, Struct, fields_of
 
 ROOT = Path(__file__).parents[3]
 LINES = """\
-from firmware_model.law.filters.biquad import advance
+from firmware_model.law.core.biquad import advance
 from firmware_model.law.layout import State, Table
 def f(table: Table, state: State) -> None:
     state.fault_state = state.mode
@@ -29,7 +29,7 @@ WRONG = {
     6: '"State" has no attribute "fault_stat"',
     7: 'has no attribute "chanel_1"',
     8: 'incompatible type "Constants"; expected "State"',
-    9: 'expected "firmware_model.law.filters.biquad.Constants"',
+    9: 'expected "firmware_model.law.core.biquad.Constants"',
     10: 'expression has type "float", variable has type "int"',
 }
 

@@ -10,13 +10,13 @@ import pytest
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.fault_decision.hypotheses.verdict import (
+from firmware_model.law.status import FaultState, Verdict
+from firmware_model.law.structs import RecordArray
+from firmware_model.law.supervision.verdict import (
     judge,
     other_car_evidence,
     torque_evidence,
 )
-from firmware_model.law.status import FaultState, Verdict
-from firmware_model.law.structs import RecordArray
 from tests.firmware.law.cases import DESIGN, TICK_S, changed, covariance_of, other_cars
 
 pytestmark = pytest.mark.every_case  # a case each of few lines

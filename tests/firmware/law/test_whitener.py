@@ -11,14 +11,14 @@ from scipy import signal
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.discretisation.whitening import whitening
-from firmware_model.law.filters.whitener import (
+from firmware_model.law.structs import record_type
+from firmware_model.law.supervision.whitener import (
     Constants,
     State,
     add_signal,
     settle_whitener,
     whiten,
 )
-from firmware_model.law.structs import record_type
 from tests.firmware.law.cases import CAR, TICK_S
 
 DRAWN = np.random.default_rng(3).standard_normal((2, 60))

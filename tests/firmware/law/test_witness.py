@@ -15,8 +15,8 @@ from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Reporting, Target, Witness
 from firmware_model.firmware import Answer, Firmware
-from firmware_model.law.fault_decision.echoes import KEPT_TICKS
 from firmware_model.law.status import FaultState, Mode, Verdict
+from firmware_model.law.supervision.echoes import KEPT_TICKS
 from tests.firmware.law.cases import CAR, TICK_S
 from tests.firmware.law.test_echoes import LAGS, Car, dead, honest, lying, working
 from tests.firmware.scheduled import SPEEDS, Blended, scheduled

@@ -52,8 +52,8 @@ from can_rig.frames.codec import Transmitter
 from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
-from firmware_model.law.knowledge import Saved
 from firmware_model.law.structs import record_type
+from firmware_model.law.supervision.knowledge import Saved
 from tests.rig.export.conftest import Built
 from tests.rig.export.shared import EMULATED, log_of
 

@@ -63,7 +63,7 @@ OTHER = {
     "design.tau_s": 0.002, "design.alpha": 2, "design.tau_q_s": 0.002, "design.alpha_q": 3,
     "design.feedback": False,
     "design.estimator": "zoh",
-    "design.precision": "float32", "design.compensation": "off",
+    "design.precision": "float32", "design.compensation": "off", "design.supervision": "none",
     "design.safe_stop_s": 1.0,
     "budget.box": 0.1, "budget.actuator_box": 0.3, "budget.false_alarms_per_hour": 1.0,
     "budget.suspicions_per_hour": 60.0, "budget.peak_sensitivity": 3.0, "budget.spare_ticks": 1,

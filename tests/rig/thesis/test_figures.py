@@ -14,6 +14,7 @@ from scipy import integrate, signal
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
+from can_rig.results.counterfactual import signals_without_log
 from can_rig.scenario.build import continuous_design, continuous_plant
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.comparisons import Comparison, both, compare, compare_scenario
@@ -263,3 +264,16 @@ def test_the_command_draws_every_figure_of_print_size(tmp_path: Path) -> None:
         assert data.startswith(b"\x89PNG") and width >= 1800 and height >= 1200
     assert asked(*words).returncode == 2
     refuse_existing(tmp_path / "new", force=True)
+
+
+@pytest.mark.parametrize("name", ["thesis-step", "thesis-sine", "default", "noisy"])
+def test_the_supervision_changes_nothing_of_the_thesis(name: str) -> None:
+    """The law alone gives the bits of the supervised law that compensates always."""
+    settings = ("design.compensation=always", "duration_s=2", "fault.at_s=1")
+    full, alone = (
+        signals_without_log(loaded(name, *settings, f"design.supervision={supervision}"))
+        for supervision in ("full", "none")
+    )
+    for column in ("torque_nm", "force_difference_n", "fault_estimate_mps2", "dstar_mps2"):
+        np.testing.assert_array_equal(getattr(full, column), getattr(alone, column))
+    assert np.abs(alone.force_difference_n).max() > 1.0

@@ -9,13 +9,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from firmware_model.compiled import firmware
-from firmware_model.law.filters.biquad import advance
+from firmware_model.law.core.biquad import advance
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import MAX_SECTIONS, RecordArray
 
 if TYPE_CHECKING:
-    from firmware_model.law.filters import biquad
+    from firmware_model.law.core import biquad
     from firmware_model.law.layout import State, Table
 
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.safe_stop import nearer_to_zero
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
+from firmware_model.law.supervision.safe_stop import nearer_to_zero
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

@@ -10,16 +10,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.filters import biquad
-from firmware_model.law.filters.biquad import advance, output
-from firmware_model.law.filters.whitener import add_signal
+from firmware_model.law.core import biquad
+from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
+from firmware_model.law.supervision.whitener import add_signal
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
-    from firmware_model.law.fault_decision.hypotheses import signatures
     from firmware_model.law.layout import Table
+    from firmware_model.law.supervision import signatures
 
 
 class State(Struct):

@@ -32,7 +32,10 @@ import math
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.covariance import (
+from firmware_model.law.precision import real
+from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.supervision import whitener
+from firmware_model.law.supervision.covariance import (
     LOSS_STATES,
     SIZES,
     clear_covariance,
@@ -42,11 +45,8 @@ from firmware_model.law.fault_decision.covariance import (
     replace_loss,
     variance_of,
 )
-from firmware_model.law.fault_decision.covariance import State as CovarianceState
-from firmware_model.law.filters import whitener
-from firmware_model.law.filters.whitener import settle_whitener, whiten
-from firmware_model.law.precision import real
-from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.supervision.covariance import State as CovarianceState
+from firmware_model.law.supervision.whitener import settle_whitener, whiten
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

@@ -28,9 +28,9 @@ import math
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.echoes import KEPT_TICKS
 from firmware_model.law.precision import real
 from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.supervision.echoes import KEPT_TICKS
 
 if TYPE_CHECKING:
     from firmware_model.law.layout import Table

@@ -15,10 +15,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS
-from firmware_model.law.filters import biquad
-from firmware_model.law.filters.biquad import advance, output, settle
+from firmware_model.law.core import biquad
+from firmware_model.law.core.biquad import advance, output, settle
 from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

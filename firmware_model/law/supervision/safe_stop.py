@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.actuator import command_possible
+from firmware_model.law.core.actuator import command_possible
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import Struct

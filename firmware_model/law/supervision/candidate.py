@@ -18,11 +18,11 @@ import math
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.covariance import MAX_STATES
-from firmware_model.law.filters import whitener
-from firmware_model.law.filters.whitener import whiten
 from firmware_model.law.precision import real
 from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.supervision import whitener
+from firmware_model.law.supervision.covariance import MAX_STATES
+from firmware_model.law.supervision.whitener import whiten
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

@@ -15,18 +15,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.covariance import MAX_STATES, SIZES, variance_of
-from firmware_model.law.fault_decision.hypotheses.verdict import (
+from firmware_model.law.core.biquad import settle
+from firmware_model.law.precision import real
+from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.supervision.covariance import MAX_STATES, SIZES, variance_of
+from firmware_model.law.supervision.loss_model import CONFIRMED, known_share
+from firmware_model.law.supervision.mismatch import learn_loss
+from firmware_model.law.supervision.verdict import (
     ANOTHER_CAR,
     BOTH_LOST,
     SENSOR_FROZEN,
 )
-from firmware_model.law.fault_decision.loss_model import CONFIRMED, known_share
-from firmware_model.law.fault_decision.mismatch import learn_loss
-from firmware_model.law.filters.biquad import settle
-from firmware_model.law.filters.whitener import settle_whitener
-from firmware_model.law.precision import real
-from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.supervision.whitener import settle_whitener
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

@@ -6,22 +6,22 @@ import math
 from typing import TYPE_CHECKING
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.bumpless_transfer import release
-from firmware_model.law.fault_decision.decision import CLEAR, compensated_output
-from firmware_model.law.fault_decision.hypotheses.verdict import clear_hypotheses
-from firmware_model.law.fault_decision.likelihood_ratio import start_candidate
-from firmware_model.law.fault_decision.loss_model import clear_loss_model
-from firmware_model.law.fault_decision.mismatch import clear_mismatch
-from firmware_model.law.fault_decision.other_cars import clear_other_cars, show_other_cars
-from firmware_model.law.fault_decision.witness import settle_witness
-from firmware_model.law.filters.biquad import output
-from firmware_model.law.filters.estimator import clear_estimator, model_output
-from firmware_model.law.filters.prediction import clear_prediction
-from firmware_model.law.filters.shortfall import make_up
-from firmware_model.law.filters.tracking import missing_output
+from firmware_model.law.core.biquad import output
+from firmware_model.law.core.estimator import clear_estimator, model_output
+from firmware_model.law.core.reference_shaper import start
+from firmware_model.law.core.shortfall import make_up
+from firmware_model.law.core.tracking import missing_output
 from firmware_model.law.precision import real
-from firmware_model.law.reference_shaper import start
-from firmware_model.law.takeover import UNKNOWN, end_takeover
+from firmware_model.law.supervision.bumpless_transfer import release
+from firmware_model.law.supervision.decision import CLEAR, compensated_output
+from firmware_model.law.supervision.likelihood_ratio import start_candidate
+from firmware_model.law.supervision.loss_model import clear_loss_model
+from firmware_model.law.supervision.mismatch import clear_mismatch
+from firmware_model.law.supervision.other_cars import clear_other_cars, show_other_cars
+from firmware_model.law.supervision.prediction import clear_prediction
+from firmware_model.law.supervision.takeover import UNKNOWN, end_takeover
+from firmware_model.law.supervision.verdict import clear_hypotheses
+from firmware_model.law.supervision.witness import settle_witness
 
 if TYPE_CHECKING:
     from firmware_model.law.layout import State, Table

@@ -6,10 +6,10 @@ import math
 from typing import TYPE_CHECKING
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.echoes import KEPT_TICKS, take_echo
-from firmware_model.law.fault_decision.witness import take_sample
 from firmware_model.law.precision import real
 from firmware_model.law.structs import RecordArray
+from firmware_model.law.supervision.echoes import KEPT_TICKS, take_echo
+from firmware_model.law.supervision.witness import take_sample
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

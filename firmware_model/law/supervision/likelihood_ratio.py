@@ -25,13 +25,14 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.covariance import MAX_STATES
-from firmware_model.law.filters import biquad, whitener
-from firmware_model.law.filters.biquad import advance, output
-from firmware_model.law.filters.estimator import pending_command
-from firmware_model.law.filters.whitener import whiten
+from firmware_model.law.core import biquad
+from firmware_model.law.core.biquad import advance, output
+from firmware_model.law.core.estimator import pending_command
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
+from firmware_model.law.supervision import whitener
+from firmware_model.law.supervision.covariance import MAX_STATES
+from firmware_model.law.supervision.whitener import whiten
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

@@ -11,11 +11,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision import candidate
-from firmware_model.law.fault_decision.candidate import State as CandidateState
-from firmware_model.law.fault_decision.candidate import start, take_in
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
+from firmware_model.law.supervision import candidate
+from firmware_model.law.supervision.candidate import State as CandidateState
+from firmware_model.law.supervision.candidate import start, take_in
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from firmware_model.law.filters import biquad
+from firmware_model.law.core import biquad
 from firmware_model.law.structs import Struct
 
 

@@ -13,13 +13,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.echoes import known_output
-from firmware_model.law.filters import biquad
-from firmware_model.law.filters.biquad import advance, output
-from firmware_model.law.filters.whitener import add_signal
+from firmware_model.law.core import biquad
+from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
+from firmware_model.law.supervision.echoes import known_output
+from firmware_model.law.supervision.whitener import add_signal
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

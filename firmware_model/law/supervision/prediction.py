@@ -16,7 +16,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.filters.biquad import output
+from firmware_model.law.core.biquad import output
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
 

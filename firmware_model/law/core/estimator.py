@@ -13,8 +13,8 @@ from __future__ import annotations
 from typing import Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.filters import biquad
-from firmware_model.law.filters.biquad import advance, output, settle
+from firmware_model.law.core import biquad
+from firmware_model.law.core.biquad import advance, output, settle
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_LATENCY_TICKS, FloatArray, Struct
 

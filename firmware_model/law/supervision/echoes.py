@@ -20,12 +20,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision import candidate
-from firmware_model.law.filters import biquad, whitener
-from firmware_model.law.filters.biquad import advance, output
-from firmware_model.law.filters.whitener import add_signal, settle_whitener, whiten
+from firmware_model.law.core import biquad
+from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Struct
+from firmware_model.law.supervision import candidate, whitener
+from firmware_model.law.supervision.whitener import add_signal, settle_whitener, whiten
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

@@ -18,12 +18,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.filters import biquad
+from firmware_model.law.core import biquad
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Struct
 
 if TYPE_CHECKING:
-    from firmware_model.law import actuator
+    from firmware_model.law.core import actuator
 
 
 class Constants(Struct):

@@ -19,46 +19,45 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision import candidate
-from firmware_model.law.fault_decision.candidate import likeliest
-from firmware_model.law.fault_decision.covariance import LOSS_STATES, variance_of
-from firmware_model.law.fault_decision.echoes import (
+from firmware_model.law.core.biquad import output
+from firmware_model.law.precision import real
+from firmware_model.law.status import FaultState, Verdict
+from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.supervision import candidate, signatures
+from firmware_model.law.supervision.candidate import likeliest
+from firmware_model.law.supervision.covariance import LOSS_STATES, variance_of
+from firmware_model.law.supervision.echoes import (
     Echo,
     believe,
     missing_command,
     says_lost,
     works,
 )
-from firmware_model.law.fault_decision.hypotheses import signatures
-from firmware_model.law.fault_decision.hypotheses.frozen import (
+from firmware_model.law.supervision.frozen import (
     Constants as FrozenConstants,
 )
-from firmware_model.law.fault_decision.hypotheses.frozen import (
+from firmware_model.law.supervision.frozen import (
     State as FrozenState,
 )
-from firmware_model.law.fault_decision.hypotheses.frozen import thaw, weigh_frozen
-from firmware_model.law.fault_decision.hypotheses.sensor_error import State as SensorErrorState
-from firmware_model.law.fault_decision.hypotheses.sensor_error import (
+from firmware_model.law.supervision.frozen import thaw, weigh_frozen
+from firmware_model.law.supervision.loss_model import known_share
+from firmware_model.law.supervision.sensor_error import State as SensorErrorState
+from firmware_model.law.supervision.sensor_error import (
     clear_sensor_error,
     learn_sensor_error,
 )
-from firmware_model.law.fault_decision.hypotheses.signatures import (
+from firmware_model.law.supervision.signatures import (
     Constants as SignaturesConstants,
 )
-from firmware_model.law.fault_decision.hypotheses.signatures import (
+from firmware_model.law.supervision.signatures import (
     State as SignaturesState,
 )
-from firmware_model.law.fault_decision.hypotheses.signatures import (
+from firmware_model.law.supervision.signatures import (
     answers_no_more,
     begin_all,
     weigh_signatures,
 )
-from firmware_model.law.fault_decision.loss_model import known_share
-from firmware_model.law.fault_decision.witness import acquits, contradicts, unsure
-from firmware_model.law.filters.biquad import output
-from firmware_model.law.precision import real
-from firmware_model.law.status import FaultState, Verdict
-from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.supervision.witness import acquits, contradicts, unsure
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

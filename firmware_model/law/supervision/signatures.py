@@ -14,21 +14,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.candidate import (
-    Constants as CandidateConstants,
-)
-from firmware_model.law.fault_decision.candidate import (
-    Limits as CandidateLimits,
-)
-from firmware_model.law.fault_decision.candidate import (
-    State as CandidateState,
-)
-from firmware_model.law.fault_decision.candidate import has_failed, start, take_in
-from firmware_model.law.fault_decision.echoes import Actuator, Echo, missing_command
-from firmware_model.law.filters import biquad
-from firmware_model.law.filters.biquad import advance, output
+from firmware_model.law.core import biquad
+from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
+from firmware_model.law.supervision.candidate import (
+    Constants as CandidateConstants,
+)
+from firmware_model.law.supervision.candidate import (
+    Limits as CandidateLimits,
+)
+from firmware_model.law.supervision.candidate import (
+    State as CandidateState,
+)
+from firmware_model.law.supervision.candidate import has_failed, start, take_in
+from firmware_model.law.supervision.echoes import Actuator, Echo, missing_command
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

@@ -23,23 +23,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer
-from firmware_model.law.fault_decision.echoes import confesses, known_output, says_lost
-from firmware_model.law.fault_decision.hypotheses.sensor_error import sensor_error_shown
-from firmware_model.law.fault_decision.hypotheses.signatures import begin_all
-from firmware_model.law.fault_decision.hypotheses.verdict import (
-    TORQUE_LOST,
-    clear_hypotheses,
-    found_elsewhere,
-    weigh_hypotheses,
-)
-from firmware_model.law.fault_decision.likelihood_ratio import (
+from firmware_model.law.precision import real
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import Struct
+from firmware_model.law.supervision.bumpless_transfer import begin_transfer
+from firmware_model.law.supervision.echoes import confesses, known_output, says_lost
+from firmware_model.law.supervision.likelihood_ratio import (
     forget_candidate,
     lost_share,
     start_candidate,
     update_test,
 )
-from firmware_model.law.fault_decision.loss_model import (
+from firmware_model.law.supervision.loss_model import (
     clear_loss_model,
     earlier_missing,
     earlier_shown,
@@ -50,16 +45,21 @@ from firmware_model.law.fault_decision.loss_model import (
     loss_shown,
     take_over_candidate,
 )
-from firmware_model.law.fault_decision.mismatch import innovation, learn_loss, predict_mismatch
-from firmware_model.law.fault_decision.other_cars import show_other_cars
-from firmware_model.law.fault_decision.witness import (
+from firmware_model.law.supervision.mismatch import innovation, learn_loss, predict_mismatch
+from firmware_model.law.supervision.other_cars import show_other_cars
+from firmware_model.law.supervision.sensor_error import sensor_error_shown
+from firmware_model.law.supervision.signatures import begin_all
+from firmware_model.law.supervision.verdict import (
+    TORQUE_LOST,
+    clear_hypotheses,
+    found_elsewhere,
+    weigh_hypotheses,
+)
+from firmware_model.law.supervision.witness import (
     acquits,
     agrees_with_itself,
     contradicts,
 )
-from firmware_model.law.precision import real
-from firmware_model.law.status import FaultState
-from firmware_model.law.structs import Struct
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
