@@ -214,13 +214,8 @@ def test_a_library_that_fails_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.parametrize("kind", ["float32", "float64", "drive"])
-def test_make_and_ctest_run_the_test(kind: str, built: Built, tmp_path: Path) -> None:
-    said = run("make", "-s", "-C", built(kind), "check")
-    assert "computes as in Python" in said
-    if kind == "float32" and shutil.which("cmake") is not None:
-        run("cmake", "-S", built(kind), "-B", tmp_path)
-        run("cmake", "--build", tmp_path)
-        assert "100% tests passed" in run("ctest", "--test-dir", tmp_path)
+def test_make_runs_the_test(kind: str, built: Built) -> None:
+    assert "computes as in Python" in run("make", "-s", "-C", built(kind), "check")
 
 
 def test_a_law_that_hears_further_sensors_answers_their_samples_too() -> None:
