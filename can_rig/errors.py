@@ -30,7 +30,9 @@ INTERRUPTED: Final = 130
 
 
 def one_line(error: BaseException) -> str:
-    """What ``error`` says, on one line."""
+    """What ``error`` says, on one line; of the operating system the file and the reason."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return " ".join(str(error).split()) or type(error).__name__
 
 

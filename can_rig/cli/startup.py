@@ -142,12 +142,9 @@ def refusals_in_one_line() -> Iterator[None]:
 
 
 def _reason(error: OSError) -> str:
-    reason = error.strerror or one_line(error)
-    if error.filename is not None:
-        return f"{error.filename}: {reason}"
-    if error.errno in _OF_A_STREAM:
-        return f"standard output cannot be written: {reason}"
-    return reason
+    if error.filename is None and error.errno in _OF_A_STREAM:
+        return f"standard output cannot be written: {one_line(error)}"
+    return one_line(error)
 
 
 def announce_compilation() -> None:

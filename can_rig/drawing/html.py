@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterable
+from itertools import zip_longest
 from typing import Any, Final
 
 from can_rig.drawing import bench
@@ -13,7 +14,7 @@ main { max-width: 75rem; margin: 1rem auto; padding: 0 1rem; }
 table { border-collapse: collapse; margin: .5rem 0; }
 th, td { padding: .15rem .8rem .15rem 0; text-align: left; vertical-align: top; }
 th { border-bottom: 1px solid var(--soft); }
-td.n { text-align: right; font-variant-numeric: tabular-nums; }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
 code { font-size: 85%; color: var(--soft); overflow-wrap: anywhere; }
 h1 { font-size: 1.3rem; } h2 { font-size: 1.05rem; }
 p { margin: .2rem 0; }
@@ -39,16 +40,24 @@ class Code(str):
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
-    """A table of texts and numbers."""
+    """A table of texts and numbers; a heading stands as the first row's value does."""
+
+    def is_number(value: Any) -> bool:
+        return isinstance(value, int | float) and not isinstance(value, bool)
 
     def cell(value: Any) -> str:
         if isinstance(value, Code):
             return f"<td><code>{html.escape(value)}</code></td>"
-        if isinstance(value, int | float) and not isinstance(value, bool):
+        if is_number(value):
             return f'<td class="n">{value:.6g}</td>'
         return f"<td>{html.escape(str(value))}</td>"
 
-    headings = "".join(f"<th>{html.escape(text)}</th>" for text in head)
+    rows = [tuple(row) for row in rows]
+    headings = "".join(
+        f"<th{' class=n' if is_number(first) else ''}>{html.escape(text)}</th>"
+        for text, first in zip_longest(head, rows[0] if rows else ())
+        if text is not None
+    )
     lines = ("".join(cell(value) for value in row) for row in rows)
     body = "".join(f"<tr>{line}</tr>" for line in lines)
     return f"<table><tr>{headings}</tr>{body}</table>"

@@ -9,7 +9,7 @@ import hashlib
 import html
 import shutil
 import subprocess
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any, Final
@@ -133,7 +133,7 @@ def _spread(counts: FloatArray) -> Record:
 
 
 STYLE: Final = """
-h3 { font-size: 1rem; margin: .8rem 0 0; } td:nth-child(3) { min-width: 16rem; }
+h3 { font-size: 1rem; margin: .8rem 0 0; } td:nth-child(3):not(.n) { min-width: 16rem; }
 td.bar { width: 18rem; } td.bar i { display: block; height: .8rem; background: var(--blue); }
 .good { color: var(--good); } .bad { color: var(--warn); } .none { color: var(--soft); }
 @media print { main { max-width: none; } h2 { break-after: avoid; } }
@@ -154,7 +154,16 @@ def as_page(record: Record) -> str:
             "<h2>Instructions</h2>",
             *_of(record, "instructions", _instructions_tables),
             "<h2>Memory</h2>",
-            *_of(record, "memory", _memory_table),
+            *_of(
+                record,
+                "memory",
+                lambda of: [
+                    table(
+                        ("of the law", *next(iter(of.values()))),
+                        ((board, *each.values()) for board, each in of.items()),
+                    )
+                ],
+            ),
             "<h2>C against Python</h2>",
             *_of(record, "trials", _trials),
             "<h2>MISRA C:2012: deviations</h2>",
@@ -190,54 +199,37 @@ def _of(record: Record, part: str, shown: Callable[[Any], list[str]]) -> list[st
     return [f'<p class="none">Not measured: {lacking} is not installed.</p>']
 
 
-def _summary(record: Record) -> list[str]:
-    """A line for each claim: whether it holds, and its number."""
-    lines: list[tuple[str, str, bool | None]] = []
-
-    def line(claim: str, part: str, said: Callable[[Any], tuple[str, bool | None]]) -> None:
-        measured = record[part]
-        lines.append((claim, *(("not measured", None) if measured is None else said(measured))))
-
-    def differences(found: Record) -> tuple[str, bool | None]:
+def _claims(record: Record) -> Iterator[tuple[str, str, bool | None]]:
+    """Each claim with its number, and whether the claim holds; None: a number without a claim."""
+    if (found := record["trials"]) is not None:
         said = f"{found['different']} of {found['compared']} states of random memory differ"
-        return said, found["different"] == 0
+        yield "C computes as Python, bit by bit", said, found["different"] == 0
+        lines = f"{found['lines_run'] / found['lines']:.1%} of the lines"
+        branches = f"{found['branches_taken'] / found['branches']:.1%} of the branches"
+        yield "run by random memory and frames", f"{lines}, {branches}", None
+    warned = [n for n in record["findings"].values() if n is not None]
+    said = f"{sum(warned)} findings of {len(warned)} tools"
+    yield "compilers and analysers", said, not any(warned)
+    if (rules := record["misra"]) is not None:
+        bare = sum(each["reason"] is None for each in rules)
+        places = sum(each["times"] for each in rules)
+        said = f"{len(rules)} rules at {places} places, {bare} rules without a reason"
+        yield "MISRA C:2012", said, bare == 0
+    if (alarms := record["eva"]) is not None:
+        yield "Frama-C Eva", f"alarms: {len(alarms)}", not alarms
+    for board, of in (record["instructions"] or {}).items():
+        most, run = max((each["worst"], run) for run, each in of["node"].items())
+        yield f"worst tick of the node, {board}", f"{most} instructions ({run})", None
 
-    def share(found: Record) -> tuple[str, bool | None]:
-        return (
-            f"{found['lines_run'] / found['lines']:.1%} of the lines, "
-            f"{found['branches_taken'] / found['branches']:.1%} of the branches"
-        ), None
 
-    def rules(found: list[Record]) -> tuple[str, bool | None]:
-        unreasoned = [each["rule"] for each in found if each["reason"] is None]
-        where = sum(each["times"] for each in found)
-        said = f"{len(found)} rules at {where} places, {len(unreasoned)} rules without a reason"
-        return said, not unreasoned
-
-    def warned(found: Record) -> tuple[str, bool | None]:
-        asked = [n for n in found.values() if n is not None]
-        return f"{sum(asked)} findings of {len(asked)} tools", sum(asked) == 0
-
-    def worst(found: Record) -> tuple[str, bool | None]:
-        most = {
-            board: max((each["worst"], run) for run, each in of["node"].items())
-            for board, of in found.items()
-        }
-        return "; ".join(f"{b}: {n} instructions ({run})" for b, (n, run) in most.items()), None
-
-    line("C computes as Python, bit by bit", "trials", differences)
-    line("run by random memory and frames", "trials", share)
-    line("compilers and analysers", "findings", warned)
-    line("MISRA C:2012", "misra", rules)
-    line("Frama-C Eva", "eva", lambda alarms: (f"{len(alarms)} alarms", not alarms))
-    line("worst tick of the node over all runs", "instructions", worst)
-    rows = "".join(
-        f'<tr><td class="{"none" if good is None else "good" if good else "bad"}">'
-        f"{' ' if good is None else '✓' if good else '✗'}</td>"
+def _summary(record: Record) -> list[str]:
+    mark = {None: ("none", ""), True: ("good", "✓"), False: ("bad", "✗")}
+    rows = (
+        f'<tr><td class="{mark[good][0]}">{mark[good][1]}</td>'
         f"<td>{html.escape(claim)}</td><td>{html.escape(said)}</td></tr>"
-        for claim, said, good in lines
+        for claim, said, good in _claims(record)
     )
-    return [f"<table>{rows}</table>"]
+    return [f"<table>{''.join(rows)}</table>"]
 
 
 def _instructions_tables(found: Record) -> list[str]:
@@ -262,16 +254,11 @@ def _instructions_tables(found: Record) -> list[str]:
     return parts
 
 
-def _memory_table(found: Record) -> list[str]:
-    head = [name.replace("_", " ") for name in next(iter(found.values()))]
-    return [table(("the law alone", *head), ((board, *of.values()) for board, of in found.items()))]
-
-
 def _trials(found: Record) -> list[str]:
     return [
         "<p>Random memory and inputs through the law, compared in all bits of the state; random "
         "frames through the node.</p>",
-        table((), ((name.replace("_", " "), n) for name, n in found.items() if name != "missed")),
+        table((), ((name, n) for name, n in found.items() if name != "missed")),
         f"<details><summary>{len(found['missed'])} lines not run</summary><p><code>"
         f"{html.escape(', '.join(found['missed']))}</code></p></details>",
     ]

@@ -6,6 +6,7 @@ everywhere, so tests control the time.
 
 from __future__ import annotations
 
+import os
 import signal
 import time
 from collections import Counter
@@ -261,10 +262,23 @@ DEFAULT_TIMEOUTS: Final = Timeouts()
 
 
 class StopRequest:
-    """Set by a signal handler, read between ticks and while waiting."""
+    """Set by a signal handler, read between ticks and while waiting.
 
-    def __init__(self) -> None:
-        self.wanted = False
+    Args:
+        parent: the process whose end is a request too: a killed parent sends no signal.
+    """
+
+    def __init__(self, parent: int | None = None) -> None:
+        self._wanted, self._parent = False, parent
+
+    @property
+    def wanted(self) -> bool:
+        """Whether a stop was requested."""
+        return self._wanted or (self._parent is not None and os.getppid() != self._parent)
+
+    @wanted.setter
+    def wanted(self, wanted: bool) -> None:
+        self._wanted = wanted
 
     def on_signals(self) -> Self:
         """Let Ctrl-C, SIGTERM and a closed terminal end the node between two ticks, for good."""
@@ -283,7 +297,7 @@ class StopRequest:
             raise Interrupted
 
     def _want(self, _signal: int, _frame: FrameType | None) -> None:
-        self.wanted = True
+        self._wanted = True
 
 
 class Watchdog:

@@ -64,7 +64,7 @@ class NodeProcess:
         readers = [here, *(other.connection for other in others)]
         # Block signals until the node has a session and signal handlers of its own.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
-        arguments = (name, node, there, readers, before)
+        arguments = (name, node, there, readers, before, os.getpid())
         process = multiprocessing.get_context("fork").Process(
             target=_node_main, args=arguments, name=f"{name} node", daemon=True
         )
@@ -108,6 +108,7 @@ def _node_main(
     connection: Connection,
     readers: list[Connection],
     signals: set[signal.Signals],
+    parent: int,
 ) -> None:
     """Run the forked process in a new session, so that Ctrl-C reaches the parent only.
 
@@ -118,13 +119,14 @@ def _node_main(
         readers: the parent's pipe ends; a child that kept the ends open would miss the parent's
             death.
         signals: the blocked signals from now on.
+        parent: its process.
     """
     os.setsid()
     with suppress(OSError):  # Linux alone has it
         Path("/proc/self/comm").write_text(f"rig-{name}", encoding="ascii")
     for reader in readers:
         reader.close()
-    stop = StopRequest().on_signals()
+    stop = StopRequest(parent).on_signals()
     signal.pthread_sigmask(signal.SIG_SETMASK, signals)
 
     def report(**said: object) -> None:

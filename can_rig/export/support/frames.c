@@ -87,7 +87,8 @@ real frame_value(const struct frame *frame, const uint8_t data[8])
         word = word << 8 | data[4 + i];
     }
     const bool negative = word >> 31 != 0u;
-    const uint32_t positive = (negative ? ~word : word) >> frame->verdict_bits;
+    const uint32_t positive =
+        ((negative ? ~word : word) & 0x7FFFFFFFu) >> frame->verdict_bits;
     const int32_t raw = negative ? -(int32_t)positive - 1 : (int32_t)positive;
 
     return raw >= -frame->raw_maximum && raw <= frame->raw_maximum

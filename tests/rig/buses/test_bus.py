@@ -155,7 +155,7 @@ def raising(error: Exception) -> Any:
         ),
         (
             OSError(errno.EPERM, "Operation not permitted"),
-            "cannot open bus 'socketcan:vcan0': [Errno 1] Operation not permitted",
+            "cannot open bus 'socketcan:vcan0': Operation not permitted",
         ),
         (RuntimeError(), "cannot open bus 'socketcan:vcan0': RuntimeError"),
         (RuntimeError("two\nlines"), "cannot open bus 'socketcan:vcan0': two lines"),

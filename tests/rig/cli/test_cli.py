@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from can_rig.scenario import shipped
 from tests.helpers import asked, rig, start
 
 RUN = ["run", "thesis-step", "--in-process", "--set", "duration_s=0.05"]
@@ -21,13 +20,6 @@ def test_help_and_version_of_the_whole():
     from importlib.metadata import version
 
     assert rig("--version").stdout.strip().endswith(version("fault-tolerant-steering"))
-
-
-def test_scenarios_are_listed_with_what_they_show():
-    done = rig("scenarios", env=os.environ | {"COLUMNS": "200"})
-    assert done.returncode == 0
-    for name in shipped():
-        assert any(line.startswith(name) for line in done.stdout.splitlines())
 
 
 WRONG = {
@@ -148,14 +140,6 @@ def test_a_path_too_long_for_a_socket_is_one_line(tmp_path):
     assert "Traceback" not in done.stderr
 
 
-def test_can_rig_and_python_m_can_rig_are_the_same():
-    script = Path(sys.executable).with_name("can-rig")
-    if not script.exists():
-        pytest.skip("can-rig is not installed beside this interpreter")
-    done = subprocess.run([script, "--help"], capture_output=True, text=True, check=True)
-    assert done.stdout.split("\n", 1)[1] == rig("--help").stdout.split("\n", 1)[1]
-
-
 def test_ctrl_c_says_130_even_before_anything_runs():
     """A node that waits for its partner."""
     process = start("controller", "thesis-step", "--json", "--bus", f"local:ctrl-c-{os.getpid()}")
@@ -194,11 +178,6 @@ MODULES = ["click", "numpy", "can_rig.assessment.stability"]
 @pytest.mark.parametrize("module", MODULES)
 def test_while_it_imports(module: str, tmp_path: Path) -> None:
     assert pressed_at(module, tmp_path, "-m", "can_rig", "check") == (130, "")
-
-
-def test_of_the_console_script(tmp_path: Path) -> None:
-    code = "from can_rig.__main__ import main; main()"
-    assert pressed_at("numpy", tmp_path, "-c", code, "check") == (130, "")
 
 
 def test_where_it_is_ignored_it_stays_ignored(tmp_path: Path) -> None:

@@ -112,7 +112,7 @@ RECORD = {
         ([COMPILER, "gcov"], {"memory", "instructions", "trials"}),
         (["cppcheck", "frama-c"], {"misra", "eva"}),
     ],
-    ids=str,
+    ids=lambda each: " ".join(each) if isinstance(each, list) else "",
 )
 def test_what_a_missing_tool_would_measure_is_named(
     missing: list[str], lost: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -100,6 +100,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write(exported(SCENARIO), place / "controller", force=False)
     run("cmake", "-S", place / "controller", "-B", place / "build")
     run("cmake", "--build", place / "build", "--target", "firmware", "example", "self_test")
+    assert "100% tests passed" in run("ctest", "--test-dir", place / "build")
     run("cmake", "--install", place / "build", "--prefix", place / "opt")
     return place
 

@@ -83,16 +83,3 @@ def test_a_microchip_log(tmp_path: Path) -> None:
 def test_a_damaged_frame_is_named(tmp_path: Path, text: str, line: int) -> None:
     with pytest.raises(LogError, match=rf"a.log: line {line}: not a valid frame"):
         whole(written(tmp_path, text, "a.log"))
-
-
-@pytest.mark.parametrize("text", [MICROCHIP_LOG, CARBUS.format(version=3, first="1", second="2")])
-def test_cut_off_at_every_character(tmp_path: Path, text: str) -> None:
-    every = rows(whole(written(tmp_path, text, "a.log")))
-    first = text.index("166064;") if text is MICROCHIP_LOG else text.index("46,")
-    for cut in range(first, len(text)):
-        log = read_log(written(tmp_path, text[:cut], "a.log"))
-        found = rows(concatenate(log))
-        assert found == every[: len(found)]
-        lines = len(text[first:cut].splitlines(keepends=True))
-        assert len(found) in (lines - 1, lines)
-        assert log.notice is not None or len(found) == lines

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 from pathlib import Path
 
 import can
@@ -29,6 +30,7 @@ from tests.rig.logs.samples import (
     plain,
     relative_ns,
 )
+from tests.rig.logs.test_carbus_microchip import CARBUS, MICROCHIP_LOG
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".trc", ".mf4"])
@@ -68,33 +70,50 @@ def test_a_peak_log_tells_its_own_name(tmp_path: Path) -> None:
     assert f";   {tmp_path / 'b.trc'}" in (tmp_path / "b.trc").read_text("ascii").splitlines()
 
 
-@pytest.mark.parametrize("suffix", [".asc", ".blf", ".trc"])
-def test_cut_off_at_every_byte(tmp_path: Path, suffix: str) -> None:
+TEXTS = {
+    "CARBUS": CARBUS.format(version=3, first="1", second="2"),
+    "Microchip": MICROCHIP_LOG,
+    "SavvyCAN": GVRET,
+    "BUSMASTER": busmaster(),
+}
+
+
+FRAME = re.compile(rb"(?<=[\r\n])(?:\d+,[\dt]|\d+;[RT]X|\d\d:\d\d:)")
+"""The begin of a frame in ``TEXTS``."""
+
+
+@pytest.mark.parametrize("kind", [".asc", ".blf", ".trc", *TEXTS])
+def test_cut_off_at_every_byte(tmp_path: Path, kind: str) -> None:
     """All frames up to the cut and a notice, or one line where not even the header is left."""
-    path = by_python_can(tmp_path / f"a{suffix}", plain(6))
+    if kind in TEXTS:
+        path = written(tmp_path, TEXTS[kind], "a.csv" if kind == "SavvyCAN" else "a.log")
+    else:
+        path = by_python_can(tmp_path / f"a{kind}", plain(6))
     data = path.read_bytes()
-    every = content(concatenate(read_log(path)))
+    every = rows(whole(path))
+    begins = [match.start() for match in re.finditer(FRAME, data)]
     most = 0
     for cut in range(1, len(data)):
         path.write_bytes(data[:cut])
         log = read_log(path)
         try:
-            found = content(concatenate(log))
+            found = rows(concatenate(log))
         except LogError as error:
             assert str(error).startswith(str(path))
             assert "\n" not in str(error)
             assert most == 0
             continue
         assert found == every[: len(found)]
-        assert len(found) >= most  # a longer file never gives less
+        begun = sum(at < cut for at in begins)
+        assert len(found) >= (begun - 1 if begins else most)  # all but the last are there
         most = len(found)
-        between_lines = suffix != ".blf" and not data[:cut].rpartition(b"\n")[2].strip()
+        between_lines = kind != ".blf" and not re.split(b"[\r\n]", data[:cut])[-1].strip()
         between_lines |= data[cut:].lstrip(b" ")[:1] in b"\r\n"  # all bytes of a frame are there
         if log.notice is None:
-            assert between_lines or not data[cut:].strip()
+            assert between_lines or not data[cut:].strip() or len(found) == begun
         else:
             assert "\n" not in log.notice
-    assert most >= (0 if suffix == ".blf" else 5)  # the only container of this BLF is cut
+    assert most >= (0 if kind == ".blf" else len(every) - 1)  # the only container is cut
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".trc", ".mf4"])

@@ -15,7 +15,6 @@ from can_rig.logs.frames import EXTENDED, FD, REMOTE, SENT, concatenate
 from can_rig.logs.reading import content_format, read_log
 from can_rig.logs.writing import write_log
 from tests.rig.logs.candump_samples import rows, whole, written
-from tests.rig.logs.messages import from_messages
 from tests.rig.logs.samples import (
     BUSMASTER_DEC,
     BUSMASTER_HEX,
@@ -133,13 +132,6 @@ def test_what_is_no_savvycan_log(tmp_path: Path, old: str, new: str, said: str) 
         whole(written(tmp_path, GVRET.replace(old, new, 1), "a.csv"))
 
 
-@pytest.mark.parametrize(("cut", "frames"), [(1, 3), (2, 3), (3, 2), (4, 3), (30, 2)])
-def test_a_savvycan_log_that_is_cut_off(tmp_path: Path, cut: int, frames: int) -> None:
-    log = read_log(written(tmp_path, GVRET[:-cut], "a.csv"))
-    assert len(concatenate(log)) == frames
-    assert (log.notice is None) == (frames == 3)
-
-
 def test_a_busmaster_log(tmp_path: Path) -> None:
     path = written(tmp_path, busmaster())
     assert content_format(path).key == "BUSMASTER"
@@ -197,16 +189,3 @@ def test_long_frames_of_a_busmaster_log_are_can_fd(tmp_path: Path) -> None:
 def test_what_is_no_busmaster_log(tmp_path: Path, old: str, new: str, said: str) -> None:
     with pytest.raises(LogError, match=said):
         whole(written(tmp_path, busmaster().replace(old, new, 1)))
-
-
-def test_the_end_of_a_busmaster_log(tmp_path: Path) -> None:
-    text = busmaster().rstrip("\n")
-    log = read_log(written(tmp_path, text))
-    assert len(concatenate(log)) == 4
-    assert log.notice is None  # the line that lacks its newline is a heading
-    log = read_log(written(tmp_path, text[: text.index("0A 0B") + 4]))
-    assert len(concatenate(log)) == 1
-    assert log.notice is not None
-    assert "the file ends within this line" in log.notice
-    head = text[: text.index("14:19:11:4184")]
-    assert content(concatenate(read_log(written(tmp_path, head)))) == content(from_messages([]))

@@ -55,6 +55,12 @@ def test_a_node_that_hangs_is_named_and_does_not_stay(thesis_step):
     folder_is_complete(log.parent, victim)
 
 
+def test_a_killed_run_leaves_no_node_that_waits_for_an_operator(tmp_path):
+    with running(tmp_path, "thesis-step", "--pace", 1) as run:
+        run.process.kill()
+        wait_for(lambda: not any(map(alive, run.nodes.values())))
+
+
 def test_ctrl_c_ends_both_cleanly_and_leaves_a_complete_folder(thesis_step):
     """Thrice and to the whole group: what a terminal does, and an impatient person."""
     process, log, nodes = thesis_step

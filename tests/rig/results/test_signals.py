@@ -26,7 +26,7 @@ from can_rig.logs.columns import APPLIED, EVIDENCE, ON_THE_BUS, TAKEN, TRUE_OUTP
 from can_rig.logs.columns import ON_THE_BUS as COLUMNS
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.results.signals import Signals, data_frames, read_signals
+from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.plant_settings import SignalSettings
 from can_rig.scenario.sensor_settings import ECHOES, USUAL
@@ -90,14 +90,6 @@ def test_rows_are_cantools_own_decode(tmp_path: Path, lines: list[str]) -> None:
     np.testing.assert_allclose(table(signals), expected, rtol=1e-15, atol=1e-15)
     assert np.isnan(signals.torque_nm).sum() == len(LOST)
     np.testing.assert_array_equal(signals.time_s, np.arange(60) * TICK_S)
-
-
-def test_frames_are_those_of_python_can(tmp_path: Path, lines: list[str]) -> None:
-    log = tmp_path / "bus.log"
-    log.write_text("".join(lines))
-    ours = [(m.timestamp, m.arbitration_id, bytes(m.data)) for m in data_frames(log)]
-    assert ours == [(m.timestamp, m.arbitration_id, bytes(m.data)) for m in LogReader(log)]
-    assert len(ours) == len(lines) == 300
 
 
 @pytest.mark.parametrize("first", range(100, 106))
