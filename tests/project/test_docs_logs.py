@@ -1,9 +1,8 @@
-"""The commands of docs/logs.md and of the README's first scenario, run in their order."""
+"""The commands of docs/logs.md and of the README, run in their order."""
 
 from __future__ import annotations
 
 import json
-import re
 import shlex
 from pathlib import Path
 from typing import Any
@@ -47,12 +46,8 @@ def test_the_commands_and_the_example_of_the_log_page(folder: Path) -> None:
     assert names["table"]["DStar"].tolist() == expected
 
 
-def test_the_first_scenario_of_the_readme(folder: Path) -> None:
-    section = text_of("README.md").split("## A first scenario")[1].split("\n## ")[0]
-    first = blocks(section, "sh")[0]
-    (toml,) = blocks(section, "toml")
-    (folder / "my-car.toml").write_text(toml, "utf-8")
-    inline = re.findall(r"`(can-rig run [^`]+\.toml)`", section)
-    run_in_order([*(f"{line} --out runs/my-car" for line in inline), *first.splitlines()])
+def test_the_commands_of_the_readme(folder: Path) -> None:
+    lines = command_lines(text_of("README.md"))
+    run_in_order([line for line in lines if line.startswith("can-rig ")])
     what_if = json.loads((folder / "runs" / "uncompensated" / "run.json").read_text("utf-8"))
     assert what_if["scenario"]["design"]["compensation"] == "off"
