@@ -13,8 +13,8 @@ enough, the law *believes* the echo: G v leaves d̂, and F̂ gets the missing ou
 believed echo that turns out to be wrong is found by the same signature with the opposite sign.
 
 A motor that still obeys, with an offset, a drift or a delay, can make up for its own error: C takes
-over what F̂ carries, as fast as two lags in a row. A motor obeys if the changes of e are not those of
-the modelled output. At the limit of its command the motor has nothing left to give.
+over the part that F̂ carries, as fast as two lags in a row. A motor obeys if the changes of e differ
+from the changes of the modelled output. At the limit of its command the motor has no reserve.
 
 Between two echoes e stays. An echo that stays away for long gives no information.
 """
