@@ -156,7 +156,7 @@ class Firmware:
 
     def saved(self) -> bytes:
         """What is known of the car and of lost actuators, for ``restore`` after a restart."""
-        saved = saved_in(self._tables[0], self._states[0])
+        saved = saved_in(self._states[0])
         saved.fingerprint = self._fingerprint
         saved.crc = signed(zlib.crc32(saved.tobytes()[CRC_BYTES:]))
         return saved.tobytes()

@@ -121,7 +121,7 @@ def law_program() -> Program:
         program.add(functions[name], [*memory, *(REAL,) * inputs])
     hear = program.sources.module(further_sensors.__name__).functions[HEAR]
     program.add(hear, [*memory, REAL, REAL, REAL])
-    program.add(program.sources.module(knowledge.__name__).functions[SAVE], memory)
+    program.add(program.sources.module(knowledge.__name__).functions[SAVE], memory[1:])
     return program
 
 

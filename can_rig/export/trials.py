@@ -45,6 +45,7 @@ from firmware_model.law.structs import (
     RecordArray,
     record_type,
 )
+from firmware_model.law.supervision.covariance import LOSS_STATES
 from firmware_model.law.supervision.echoes import KEPT_TICKS
 from firmware_model.law.supervision.whitener import WHITENER_SECTIONS
 
@@ -279,6 +280,7 @@ def random_state(
     state.monitor.reason = random.choice([0, 0, 0, 0, COMPENSATION_OFF, SWINGING])
     state.takeover.pending, state.takeover.active = random.integers(0, 3), random.integers(0, 2)
     state.takeover.elapsed = random.integers(0, 9)
+    state.mismatch.covariance.first = random.choice([0, LOSS_STATES])
     state.mismatch.covariance.variances[:] = abs(state.mismatch.covariance.variances)
     return states
 

@@ -289,7 +289,8 @@ def _witness(scenario: Scenario) -> Witness | None:
     ]
     lag_s = (1.0 - weight) * turning.lag_s + weight * lateral.lag_s
     keys, _ = uncertain_keys(scenario)
-    doubt = scenario.budget.box if "speed_mps" in keys else 0.0
+    measured = scenario.drive.is_given or bool(scenario.network.signals.speed)
+    doubt = scenario.budget.box if "speed_mps" in keys and not measured else 0.0
     return Witness(weight, speed, lag_s, math.hypot(*parts), doubt)
 
 

@@ -238,7 +238,7 @@ class Simulation:
         for off, on, survives in self._restarts:
             if survives and self.done <= off < end and self._other is None:
                 self._run(off)
-                self._saved = saved_in(self._loop[0][0], self._loop[1][0])
+                self._saved = saved_in(self._loop[1][0])
             if self.done <= on < end:
                 self._run(on)
                 self._restart(survives)

@@ -80,6 +80,7 @@ from firmware_model.law.supervision.loss_model import (
 from firmware_model.law.supervision.mismatch import (
     clear_mismatch,
     doubt_motion,
+    learn_loss,
     settle_mismatch,
 )
 from firmware_model.law.supervision.other_cars import (
@@ -148,7 +149,9 @@ def init(table: Table, n: int = 1) -> RecordArray:
 @firmware
 def start_up(table: Table, state: State) -> None:
     """Turn a state of zeros into a state at rest."""
+    none = real(0.0, state.command_1)
     clear_mismatch(table.mismatch, state.mismatch)
+    learn_loss(table.mismatch, state.mismatch, none, none)
 
 
 @firmware
@@ -187,7 +190,7 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         state.mode = MODE_STANDBY
     elif told and (measured or predicts):
         if state.standby.elapsed > 0.0:
-            save(table, state)
+            save(state)
             state.takeover.pending = AT_REST
         if state.takeover.pending != BEGUN:
             take_over(table, state, r, y)

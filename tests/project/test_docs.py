@@ -117,7 +117,7 @@ def test_every_scenario_loads(page: Path, tmp_path: Path) -> None:
 
 
 RUN = (
-    *("README.md", "docs/design.md", "docs/firmware.md"),
+    *("docs/design.md", "docs/firmware.md"),
     *("docs/c-export.md", "docs/python.md", "docs/unit-test-a-filter.md"),
 )
 

@@ -51,11 +51,7 @@ void firmware_save(struct layout_state *state, struct knowledge_saved *saved)
 //: end
     const int32_t before = state->saved.fingerprint;
 
-//: if blends
-    knowledge_save(&memory->table, state);
-//: else
-    knowledge_save(&controller_table, state);
-//: end
+    knowledge_save(state);
     *saved = state->saved;
     state->saved.fingerprint = before;
     put(&saved->fingerprint, self_test_data.fingerprint);

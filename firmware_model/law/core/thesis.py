@@ -9,8 +9,8 @@ For an unstable plant read N1, N2 and M y in place of G1, G2 and y (``estimator`
 A command is first saturated in rate and magnitude and rounded to the resolution of its frame; the
 estimator works on the resulting value.
 
-``run_alone`` is this law and nothing else. With a supervision the controller decides between the
-two commands whether a channel is lost, and F̂ may work on the known loss in place of d̂.
+``run_alone`` runs the three equations without a supervision. A supervised controller decides
+between the two commands whether a channel is lost, and F̂ may work on the known loss in place of d̂.
 """
 
 from __future__ import annotations

@@ -72,10 +72,11 @@ def take_in(
         innovation: ν.
     """
     mismatch, half = state.mismatch, real(0.5, shown)
+    first = mismatch.covariance.first
     signature = whiten(table.mismatch.whitener, own.white, shown)
-    for i in range(table.mismatch.n):
+    for i in range(first, table.mismatch.n):
         signature -= mismatch.regressor[i] * own.explained[i]
-    for i in range(table.mismatch.n):
+    for i in range(first, table.mismatch.n):
         own.explained[i] = mismatch.memory[i] * (own.explained[i] + mismatch.gain[i] * signature)
     weight = signature / mismatch.variance
     correlation, information = weight * innovation, weight * signature

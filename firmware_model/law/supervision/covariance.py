@@ -1,10 +1,14 @@
-"""The covariance P of a small Kalman filter as U D Uᵀ, U unit upper triangular and D diagonal.
+"""The covariance P of a small Kalman filter as L D Lᵀ, L unit lower triangular and D diagonal.
 
 P itself, updated tick by tick, does not stay positive semidefinite: in single precision the
 subtraction of what a measurement says leaves it indefinite within a second, in double where there
 is no noise, and the variance of an innovation below zero. Its factors cannot leave it: no D is ever
 the result of a subtraction (Bierman, Factorization Methods for Discrete Sequential Estimation,
-1977, V.3 for the measurement, and the rank-one update of Agee and Turner for what is added).
+1977, V.3 for the measurement, and the rank-one update of Agee and Turner for what is added; with
+the states in reverse order U D Uᵀ is L D Lᵀ).
+
+Before any loss its two states are unused: they stand first, so that what is added to a later state
+never reaches them, and every function works from the ``first`` used state on.
 """
 
 from __future__ import annotations
@@ -24,9 +28,10 @@ SIZES = (MAX_STATES,)
 class State(Struct):
     """State."""
 
-    upper: Annotated[FloatArray, "1", "U above its diagonal of ones", (MAX_STATES, MAX_STATES)]
+    first: Annotated[int, "1", "first state in use: 0 after a loss, before any the third"]
+    lower: Annotated[FloatArray, "1", "L below its diagonal of ones", (MAX_STATES, MAX_STATES)]
     variances: Annotated[FloatArray, "1", "D", SIZES]
-    projected: Annotated[FloatArray, "y", "Uᵀ x of the last measurement", SIZES]
+    projected: Annotated[FloatArray, "y", "Lᵀ x of the last measurement", SIZES]
     added: Annotated[FloatArray, "1", "direction of the added term", SIZES]
 
 
@@ -36,7 +41,7 @@ def measure(state: State, n: int, x: FloatArray, noise: float, gain: FloatArray)
 
     Args:
         state: of this module; changed in place.
-        n: states in use.
+        n: end of the states in use.
         x: shape (n,) or longer.
         noise: variance, in the unit of x².
         gain: P x/S, shape as x; written.
@@ -44,76 +49,93 @@ def measure(state: State, n: int, x: FloatArray, noise: float, gain: FloatArray)
     Returns:
         S = xᵀ P x + noise, with the P of before.
     """
-    upper, variances, projected = state.upper, state.variances, state.projected
-    for j in range(n):
-        projected[j] = x[j]
-        for i in range(j):
-            projected[j] += upper[i, j] * x[i]
+    first, lower, variances, projected = state.first, state.lower, state.variances, state.projected
     variance = noise
-    for j in range(n):
+    for k in range(n - first):
+        j = n - 1 - k
+        projection = x[j]
+        for i in range(j + 1, n):
+            projection += lower[i, j] * x[i]
+        projected[j] = projection
+    for k in range(n - first):
+        j = n - 1 - k
         before = variance
         seen = variances[j] * projected[j]
         variance = before + projected[j] * seen
         variances[j] *= before / variance
         gain[j] = seen
-        for i in range(j):
-            old = upper[i, j]
-            upper[i, j] = old - projected[j] / before * gain[i]
+        for i in range(j + 1, n):
+            old = lower[i, j]
+            lower[i, j] = old - projected[j] / before * gain[i]
             gain[i] += old * seen
-    for j in range(n):
-        gain[j] /= variance
+    for i in range(first, n):
+        gain[i] /= variance
     return variance
 
 
 @firmware
 def fade(state: State, n: int, memory: FloatArray) -> None:
     """P after each state has been multiplied by its ``memory``, above 0, shape (n,) or longer."""
-    upper, variances = state.upper, state.variances
-    for j in range(n):
+    first, lower, variances = state.first, state.lower, state.variances
+    for j in range(first, n):
         variances[j] *= memory[j] * memory[j]
-        for i in range(j):
-            upper[i, j] *= memory[i] / memory[j]
+        for i in range(j + 1, n):
+            lower[i, j] *= memory[i] / memory[j]
 
 
 @firmware
-def grow(state: State, which: int, variance: float) -> None:
+def grow(state: State, n: int, which: int, variance: float) -> None:
     """P after white noise of ``variance``, 0 or above, has been added to the state ``which``."""
-    upper, variances, added = state.upper, state.variances, state.added
-    added[:] = 0.0
-    added[which] = 1.0
-    for k in range(which + 1):
-        j = which - k
+    state.added[:] = 0.0
+    state.added[which] = 1.0
+    add(state, n, which, variance)
+
+
+@firmware
+def add(state: State, n: int, start: int, variance: float) -> None:
+    """P after noise along ``state.added``, which is 0 before ``start``, has been added."""
+    lower, variances, added = state.lower, state.variances, state.added
+    for j in range(start, n):
         before = variances[j]
         variances[j] = before + variance * added[j] * added[j]
         share = real(0.0, variance)
         if variances[j] > share:
             share = variance * added[j] / variances[j]
             variance *= before / variances[j]
-        for i in range(j):
-            added[i] -= added[j] * upper[i, j]
-            upper[i, j] += share * added[i]
+        for i in range(j + 1, n):
+            added[i] -= added[j] * lower[i, j]
+            lower[i, j] += share * added[i]
 
 
 @firmware
-def variance_of(state: State, n: int, which: int) -> float:
-    """The variance in P of the state ``which`` of the ``n`` in use."""
-    upper, variances = state.upper, state.variances
+def variance_of(state: State, which: int) -> float:
+    """The variance in P of the state ``which``."""
+    first, lower, variances = state.first, state.lower, state.variances
     variance: float = variances[which]
-    for j in range(which + 1, n):
-        variance += upper[which, j] * upper[which, j] * variances[j]
+    for j in range(first, which):
+        variance += lower[which, j] * lower[which, j] * variances[j]
     return variance
 
 
 @firmware
-def replace_loss(state: State, share: float, moment: float) -> None:
-    """P with new states of a loss, of these variances, in place of the old; the others stay."""
-    state.upper[:LOSS_STATES, 1:] = 0.0
+def replace_loss(state: State, n: int, share: float, moment: float) -> None:
+    """P with new states of a loss, of these variances, in place of the old; the others stay.
+
+    Without any variance the states of a loss are unused.
+    """
+    first, lower, added = state.first, state.lower, state.added
+    for k in range(first, LOSS_STATES):
+        for i in range(LOSS_STATES, n):
+            added[i] = lower[i, k]
+        add(state, n, LOSS_STATES, state.variances[k])
+    lower[:, :LOSS_STATES] = 0.0
     state.variances[0] = share
     state.variances[1] = moment
+    state.first = 0 if share + moment > real(0.0, share) else LOSS_STATES
 
 
 @firmware
 def clear_covariance(state: State) -> None:
     """P is zero."""
-    state.upper[:] = 0.0
+    state.lower[:] = 0.0
     state.variances[:] = 0.0

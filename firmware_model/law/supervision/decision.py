@@ -210,7 +210,7 @@ def withdraw_loss(table: Table, state: layout.State) -> None:
     transfer_to_losses(table, state)
     state.fault_state = CLEAR
     none = real(0.0, state.command_1)
-    learn_loss(state.mismatch, none, none)
+    learn_loss(table.mismatch, state.mismatch, none, none)
     set_aside(table, state)
 
 
@@ -236,7 +236,9 @@ def take_candidate(table: Table, state: layout.State, share: float, sign: float)
     take_over_candidate(table, state, share, sign)
     transfer_to_losses(table, state)
     forget_candidate(table, state, sign * share)
-    learn_loss(state.mismatch, min(constants.share_variance, doubt), moment * moment)
+    learn_loss(
+        table.mismatch, state.mismatch, min(constants.share_variance, doubt), moment * moment
+    )
     start_candidate(table, state)
     begin_all(state.hypotheses.signatures)
 

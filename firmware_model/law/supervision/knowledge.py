@@ -48,7 +48,7 @@ class Saved(Struct):
 
 
 @firmware
-def save(table: Table, state: layout.State) -> None:
+def save(state: layout.State) -> None:
     """Write into ``state.saved`` what is known now; saved knowledge without a begin yet stays."""
     own = state.saved
     if own.fingerprint != 0:
@@ -56,7 +56,7 @@ def save(table: Table, state: layout.State) -> None:
     own.fingerprint = 1
     own.fault_state = state.fault_state
     own.share = known_share(state)
-    own.share_variance = variance_of(state.mismatch.covariance, table.mismatch.n, 0)
+    own.share_variance = variance_of(state.mismatch.covariance, 0)
     own.verdict = state.hypotheses.verdict
     own.found_size = state.hypotheses.found_size
     own.offset = state.hypotheses.sensor_error.offset
@@ -64,11 +64,11 @@ def save(table: Table, state: layout.State) -> None:
         own.theta[i] = state.mismatch.theta[i]
 
 
-def saved_in(table: Table, state: layout.State) -> Saved:
+def saved_in(state: layout.State) -> Saved:
     """What a begin of a controller can use of ``state``; ``state`` stays as it is."""
     own: Saved = state.saved
     before = own.fingerprint
-    save(table, state)
+    save(state)
     found = own.copy()
     own.fingerprint = before
     return found
@@ -107,7 +107,7 @@ def recall_car(table: Table, state: layout.State) -> None:
     own.fingerprint = 0
     for i in range(MAX_STATES):
         known.theta[i] = own.theta[i]
-    learn_loss(known, own.share_variance, real(0.0, own.share))
+    learn_loss(table.mismatch, known, own.share_variance, real(0.0, own.share))
     settle_whitener(whitener, known.white.lost, state.loss_model.previous_output)
     if own.verdict != SENSOR_FROZEN and (own.verdict < ANOTHER_CAR or own.verdict == BOTH_LOST):
         found.verdict = own.verdict

@@ -84,11 +84,12 @@ def candidate_output(table: Table, state: layout.State) -> float:
 def update_test(table: Table, state: layout.State, innovation: float, share: float) -> None:
     """Take in a tick; ``share`` is signed: above 0 a loss is looked for, below 0 a return."""
     test, mismatch = state.sequential_test, state.mismatch
+    first = mismatch.covariance.first
     shown = candidate_shown(table, state)
     signature = whiten(table.mismatch.whitener, test.white, shown)
-    for i in range(table.mismatch.n):
+    for i in range(first, table.mismatch.n):
         signature -= mismatch.regressor[i] * test.explained[i]
-    for i in range(table.mismatch.n):
+    for i in range(first, table.mismatch.n):
         test.explained[i] = mismatch.memory[i] * (test.explained[i] + mismatch.gain[i] * signature)
     correlation = signature * innovation / mismatch.variance
     information = signature * signature / mismatch.variance

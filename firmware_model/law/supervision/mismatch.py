@@ -123,8 +123,9 @@ def predict_mismatch(
     constants, mismatch, shown = table.mismatch, state.mismatch, state.other_cars.shown
     x, previous, w, white = mismatch.regressor, mismatch.x, constants.whitener, mismatch.white
     extent = change = real(0.0, model_output)
-    x[0] = whiten(w, white.lost, lost)
-    x[1] = whiten(w, white.earlier, earlier)
+    if mismatch.covariance.first == 0:
+        x[0] = whiten(w, white.lost, lost)
+        x[1] = whiten(w, white.earlier, earlier)
     previous[0], previous[1] = lost, earlier
     for i in range(table.other_cars.n):
         k, now = LOSS_STATES + i, shown[i]
@@ -160,7 +161,7 @@ def difference(table: Table, state: State) -> float:
     zero, one = real(0.0, constants.prior), real(1.0, constants.prior)
     squares = box = zero
     for i in range(LOSS_STATES, LOSS_STATES + cars):
-        squares += variance_of(state.covariance, constants.n, i) + state.theta[i] * state.theta[i]
+        squares += variance_of(state.covariance, i) + state.theta[i] * state.theta[i]
         box += constants.prior
     return min(squares / box, one) if box > zero else one
 
@@ -192,7 +193,7 @@ def innovation(
         fading: the part of d̂ left by earlier losses and returns.
         share: of the known loss in d̂.
     """
-    n, x, gain = constants.n, state.regressor, state.gain
+    first, n, x, gain = state.covariance.first, constants.n, state.regressor, state.gain
     theta, memory = state.theta, state.memory
     w = constants.whitener
     shown = whiten(w, state.white.d_hat, residual)
@@ -200,19 +201,19 @@ def innovation(
     left = whiten(w, state.white.fading, fading)
     new: float = shown + hidden - left - share * x[0]
     state.previous_residual = residual + known - fading - share * state.x[0]
-    for i in range(n):
+    for i in range(first, n):
         new -= x[i] * theta[i]
     noise = constants.noise + constants.white * state.remainder
     state.variance = measure(state.covariance, n, x, noise, gain)
     one = real(1.0, new)
     wander = min(state.change / state.extent, one) if state.extent > real(0.0, new) else one
-    for i in range(n):
+    for i in range(first, n):
         memory[i] = one - wander * constants.forgetting[i]
         theta[i] = memory[i] * (theta[i] + gain[i] * new)
     fade(state.covariance, n, memory)
     for i in range(LOSS_STATES, n):
         growth = state.remainder if i == n - 1 else wander
-        grow(state.covariance, i, constants.growth[i] * growth)
+        grow(state.covariance, n, i, constants.growth[i] * growth)
     if not (math.isfinite(new) and math.isfinite(state.variance)):
         clear_mismatch(constants, state)
     return new
@@ -239,8 +240,9 @@ def clear_mismatch(constants: Constants, state: State) -> None:
 @firmware
 def settle_mismatch(table: Table, state: layout.State, model_output: float) -> None:
     """The steady state that ``other_cars`` shows; nothing is known of the car."""
-    clear_mismatch(table.mismatch, state.mismatch)
     zero = real(0.0, model_output)
+    clear_mismatch(table.mismatch, state.mismatch)
+    learn_loss(table.mismatch, state.mismatch, zero, zero)
     predict_mismatch(table, state, model_output, zero, zero)
     w, white, shown = table.mismatch.whitener, state.mismatch.white, state.other_cars.shown
     settle_whitener(w, white.car_1, shown[0])
@@ -261,13 +263,14 @@ def doubt_motion(constants: Constants, state: State, variance: float) -> None:
 
 
 @firmware
-def learn_loss(state: State, share: float, moment: float) -> None:
+def learn_loss(constants: Constants, state: State, share: float, moment: float) -> None:
     """From now on learn how far share and moment of a loss are off; nothing, with zeros.
 
     Args:
+        constants: of this module.
         state: of this module; changed in place.
         share: variance of the share.
         moment: variance of the moment, in ticks².
     """
-    state.theta[:LOSS_STATES] = 0.0
-    replace_loss(state.covariance, share, moment)
+    state.theta[:LOSS_STATES] = state.regressor[:LOSS_STATES] = 0.0
+    replace_loss(state.covariance, constants.n, share, moment)

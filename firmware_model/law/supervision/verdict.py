@@ -138,7 +138,7 @@ def torque_evidence(table: Table, state: layout.State) -> float:
     half = real(0.5, test.evidence)
     if state.fault_state == CONFIRMED:
         share = known_share(state)
-        return half * share * share / variance_of(state.mismatch.covariance, table.mismatch.n, 0)
+        return half * share * share / variance_of(state.mismatch.covariance, 0)
     share = likeliest(test.correlation, test.information, limits)
     evidence: float = share * (test.correlation - half * share * test.information)
     return evidence
@@ -147,11 +147,11 @@ def torque_evidence(table: Table, state: layout.State) -> float:
 @firmware
 def other_car_evidence(table: Table, state: layout.State) -> float:
     """The evidence of the direction with the clearest difference between car and model."""
-    mismatch, n, half = state.mismatch, table.mismatch.n, real(0.5, state.command_1)
+    mismatch, half = state.mismatch, real(0.5, state.command_1)
     most = real(0.0, half)
     for i in range(LOSS_STATES, LOSS_STATES + table.other_cars.n):
         theta = mismatch.theta[i]
-        most = max(most, half * theta * theta / variance_of(mismatch.covariance, n, i))
+        most = max(most, half * theta * theta / variance_of(mismatch.covariance, i))
     return most
 
 

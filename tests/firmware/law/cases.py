@@ -59,5 +59,5 @@ def changed(table: Any, **numbers: dict[str, Any]) -> RecordArray:
 
 def covariance_of(mismatch: Any) -> FloatArray:
     """P of its filter, from the factors."""
-    factor = np.triu(mismatch.covariance.upper, 1) + np.eye(MAX_STATES)
+    factor = np.tril(mismatch.covariance.lower, -1) + np.eye(MAX_STATES)
     return np.asarray(factor * mismatch.covariance.variances @ factor.T)

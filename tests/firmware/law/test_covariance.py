@@ -28,9 +28,9 @@ N = MAX_STATES
 
 
 def matrix(state: Any) -> Matrix:
-    """U D Uᵀ, in double."""
-    upper = np.triu(state.upper.astype(float), 1) + np.eye(N)
-    return upper * state.variances.astype(float) @ upper.T
+    """L D Lᵀ, in double."""
+    lower = np.tril(state.lower.astype(float), -1) + np.eye(N)
+    return lower * state.variances.astype(float) @ lower.T
 
 
 VARIANCES = np.array([1.0, 2.0, 0.5, 0.0, 0.3, 4.0, 0.7])
@@ -52,7 +52,7 @@ def test_a_variance_is_on_the_diagonal(measurements: list[Matrix]) -> None:
     state = begun()
     for x in measurements:
         measure(state, N, x, 0.5, np.zeros(N))
-    variances = [variance_of(state, N, i) for i in range(N)]
+    variances = [variance_of(state, i) for i in range(N)]
     np.testing.assert_allclose(variances, matrix(state).diagonal(), atol=1e-12)
 
 
@@ -83,7 +83,7 @@ def test_what_fades_and_what_is_added_is_that_of_full_matrices(
     faded = before * np.outer(memory, memory)
     np.testing.assert_allclose(matrix(state), faded, atol=1e-12)
     for i in range(N):
-        grow(state, i, added[i])
+        grow(state, N, i, added[i])
     np.testing.assert_allclose(matrix(state), faded + np.diag(added), atol=1e-12)
 
 
@@ -92,23 +92,23 @@ def test_what_fades_and_what_is_added_is_that_of_full_matrices(
 def test_new_states_of_a_loss_know_nothing_of_each_other_and_the_rest(
     measurements: list[Matrix], share: float, moment: float
 ) -> None:
-    """The covariances of the rest, which the factors without the first columns hold, stay."""
+    """The covariances of the rest stay."""
     state = begun()
     for x in measurements:
         measure(state, N, x, 0.1, np.zeros(N))
     expected = matrix(state)
     expected[:LOSS_STATES, :] = expected[:, :LOSS_STATES] = 0.0
     expected[0, 0], expected[1, 1] = share, moment
-    replace_loss(state, share, moment)
+    replace_loss(state, N, share, moment)
     np.testing.assert_allclose(matrix(state), expected, atol=1e-12)
 
 
 def test_what_is_cleared_is_zero() -> None:
     state = begun()
     measure(state, N, np.arange(1.0, 1.0 + N), 0.1, np.zeros(N))
-    assert np.triu(matrix(state), 1).any()
+    assert np.tril(matrix(state), -1).any()
     clear_covariance(state)
-    assert not state.upper.any()  # which would be seen once the variances grow again
+    assert not state.lower.any()  # which would be seen once the variances grow again
     assert not state.variances.any()
 
 
@@ -129,7 +129,7 @@ def test_it_stays_positive_semidefinite_and_the_innovation_s_variance_above_its_
         variance = measure(state, N, x, state.variances.dtype.type(noise), gain)
         assert variance >= np.dtype(precision).type(noise)
         for i in range(N):
-            grow(state, i, state.variances.dtype.type(grows))
+            grow(state, N, i, state.variances.dtype.type(grows))
         p = matrix(state)
         assert np.isfinite(p).all()
         assert (state.variances >= 0.0).all()

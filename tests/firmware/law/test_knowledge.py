@@ -108,7 +108,7 @@ def test_the_steady_state_with_a_known_loss_repeats_its_commands(on_confirmation
     quiet = table_of(noise_rms=0.0, on_confirmation=on_confirmation)
     loop = lost(0.5, on_confirmation=on_confirmation)
     state = controller.init(quiet)[0]
-    state.saved = knowledge.saved_in(quiet, loop.firmware._states[0])
+    state.saved = knowledge.saved_in(loop.firmware._states[0])
     state.saved.theta[:] = 0.0  # the model itself
     share = float(state.saved.share)
     assert share == pytest.approx(0.5, abs=0.02)

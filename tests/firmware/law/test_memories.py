@@ -117,7 +117,7 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation: b
         known[name] = 0.0
     for name in known.white.dtype.names:
         known.white[name].memory[:] = 0.0
-    known.covariance.upper[:] = 0.0
+    known.covariance.lower[:] = 0.0
     known.covariance.variances[:] = [0.0, 0.0, 0.36, 0.36, 0.36, 0.36, 0.0]
     for name in ("difference", "fading", "elapsed"):
         expected.prediction[name] = 0.0

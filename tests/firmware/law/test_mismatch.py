@@ -66,6 +66,7 @@ def predict(
 def predicted(table: Any) -> NDArray[Any]:
     """A row a tick: regressor, extent, M and the remainder's variance."""
     state, rows = controller.init(table)[0], []
+    learn_loss(table.mismatch, state.mismatch, 0.09, 25.0)
     for drive in zip(COMMANDS, MODELLED, LOST, EARLIER, strict=True):
         predict(table, state, *drive)
         known = state.mismatch
@@ -145,7 +146,7 @@ def test_a_new_loss_begins_with_share_and_moment_unknown() -> None:
         predict(table, state, command, model, 0.3, 0.2)
         innovation(table.mismatch, state.mismatch, 0.1, 0.0, 0.0, 0.0)
     before = state.mismatch.copy()
-    learn_loss(state.mismatch, 0.09, 25.0)
+    learn_loss(table.mismatch, state.mismatch, 0.09, 25.0)
     assert state.mismatch.theta[:2].tolist() == [0.0, 0.0]
     assert np.diag(covariance_of(state.mismatch))[:2].tolist() == [0.09, 25.0]
     np.testing.assert_array_equal(state.mismatch.theta[2:], before.theta[2:])
@@ -201,7 +202,7 @@ def test_a_settled_car_has_not_moved() -> None:
     state, torque = controller.init(table)[0], 1.0 / CAR.g1.dc_gain
     known = state.mismatch
     known.theta[:] = known.x[:] = 7.0
-    known.covariance.upper[:] = 0.3
+    known.covariance.lower[:] = 0.3
     settle_other_cars(table, state, torque, 0.0)
     settle_mismatch(table, state, 1.0)
     assert not known.theta.any()

@@ -69,7 +69,7 @@ def test_it_is_the_kalman_filter_of_full_matrices(seed: int) -> None:
     theirs, before = FullMatrices(constants), 0.0
     for k, residual in enumerate(draw.standard_normal(60)):
         if k in (20, 45):  # a first and a second confirmed loss
-            learn_loss(state, 0.09, 25.0)
+            learn_loss(constants, state, 0.09, 25.0)
             theirs.learn_loss(0.09, 25.0)
         state.regressor[:] = x = draw.standard_normal(MAX_STATES)
         state.extent, state.change, state.remainder = draw.uniform(0.0, 2.0, 3)
@@ -96,7 +96,7 @@ def test_a_car_that_has_never_moved_may_be_any() -> None:
     constants, state = begun()
     state.extent = state.change = 0.0
     innovation(constants, state, 0.1, 0.0, 0.0, 0.0)
-    np.testing.assert_allclose(state.memory, 1.0 - constants.forgetting)
+    np.testing.assert_allclose(state.memory[2:], 1.0 - constants.forgetting[2:])
 
 
 @pytest.mark.parametrize("huge", [1e200, math.inf, math.nan])
@@ -104,7 +104,7 @@ def test_an_overflow_is_forgotten(huge: float) -> None:
     constants, state = begun()
     constants.prior = 0.49
     _, fresh = begun(prior=0.49)
-    learn_loss(state, 0.09, 25.0)
+    learn_loss(constants, state, 0.09, 25.0)
     state.x[:] = state.previous_model_output = 3.0
     for value in (0.1, huge, -huge):
         state.regressor[:] = value
@@ -115,4 +115,27 @@ def test_an_overflow_is_forgotten(huge: float) -> None:
     ):  # fmt: skip
         np.testing.assert_array_equal(state[name], fresh[name], err_msg=name)
     assert state.covariance.variances.tolist() == fresh.covariance.variances.tolist()
-    assert not state.covariance.upper.any()
+    assert not state.covariance.lower.any()
+
+
+def test_the_states_of_a_loss_take_no_part_before_any_loss() -> None:
+    """The same numbers as with a loss of which nothing is seen."""
+    draw = np.random.default_rng(7)
+    constants, without = begun()
+    _, known = begun()
+    learn_loss(constants, without, 0.0, 0.0)
+    for k, residual in enumerate(draw.standard_normal(60)):
+        if k == 30:  # what has been learnt of a loss stays with the others once it is withdrawn
+            learn_loss(constants, known, 0.09, 25.0)
+        if k == 40:
+            learn_loss(constants, known, 0.0, 0.0)
+        x = draw.standard_normal(MAX_STATES)
+        x[:LOSS_STATES] = 0.0
+        change = draw.uniform(0.0, 2.0, 3)
+        for state in (without, known):
+            state.regressor[LOSS_STATES:] = x[LOSS_STATES:]
+            state.extent, state.change, state.remainder = change
+        ours = innovation(constants, without, residual, 0.0, 0.0, 0.0)
+        assert ours == pytest.approx(innovation(constants, known, residual, 0.0, 0.0, 0.0))
+    np.testing.assert_allclose(without.theta, known.theta, atol=1e-12)
+    np.testing.assert_allclose(covariance_of(without), covariance_of(known), atol=1e-12)

@@ -239,8 +239,9 @@ def with_learnt_car(tables: RecordArray, lost: bool) -> Any:
     state = controller.init(tables[0])[0]
     draw, n = np.random.default_rng(4), int(tables[0].mismatch.n)
     known = state.mismatch
-    known.covariance.upper[:n, :n] = np.triu(draw.standard_normal((n, n)), 1)
+    known.covariance.lower[:n, :n] = np.tril(draw.standard_normal((n, n)), -1)
     known.covariance.variances[:n] = draw.uniform(0.01, 0.1, n)
+    known.covariance.first = 0
     known.theta[:n] = draw.standard_normal(n)
     state.loss_model.share = 0.6 - known.theta[0]
     state.fault_state = FaultState.CONFIRMED if lost else FaultState.CLEAR

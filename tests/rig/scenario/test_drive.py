@@ -10,7 +10,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.search import tune
 from can_rig.errors import ScenarioError
-from can_rig.scenario.build import network_of
+from can_rig.scenario.build import network_of, target
 from can_rig.scenario.controls import controller_table, controls
 from can_rig.scenario.driving import (
     RATIO,
@@ -95,3 +95,13 @@ def test_the_driver_goes_to_the_other_lane_and_back() -> None:
     assert offset[-1] == pytest.approx(0.0, abs=0.02)
     assert offset.max() < 3.5 * 1.06
     assert np.abs(np.diff(r)).max() < 2.0 * 1.5 / 0.2 * scenario.tick_s
+
+
+def test_the_witness_doubts_a_speed_that_no_frame_measures() -> None:
+    doubts = []
+    for drive in ([], ["drive.speed_mps=20"]):
+        scenario = load("cluster", drive)
+        witness = target(scenario, network_of(scenario)).witness
+        assert witness is not None
+        doubts.append(witness.doubt)
+    assert doubts == [0.2, 0.0]
