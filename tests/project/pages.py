@@ -10,6 +10,7 @@ PAGES = sorted(
     [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), ROOT / "dbc" / "README.md"],
     key=lambda path: str(path.relative_to(ROOT)),
 )
+TUTORIALS = sorted(page.name for page in PAGES if page.name.startswith("tutorial-"))
 
 
 def text_of(name: str) -> str:
