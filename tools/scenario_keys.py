@@ -44,6 +44,7 @@ def page(schema: dict[str, Any]) -> str:
     """
     meanings = tomllib.loads(MEANINGS.read_text(encoding="utf-8"))
     text = [HEADER]
+    shown: dict[str, str] = {}
     kinds = {kind: meanings.pop(kind) for kind in schema["$defs"] if kind in meanings}
     for section, kind, table in sections(schema):
         text.append(f"\n## {f'`[{section}]`' if section else 'Top level'}\n")
@@ -52,13 +53,20 @@ def page(schema: dict[str, Any]) -> str:
             text.append(f"\n{introduction}\n")
         if section == "model":
             continue  # the keys of the plant once more
-        text.append("\n| key | unit | default | allowed | meaning |\n|---|---|---|---|---|\n")
+        rows = []
         for key, field in table.items():
             meaning = one_meaning(f"{section}.{key}", field, explained.pop(key, None))
             cells = (f"`{key}`", unit(key), default(field), allowed(field), meaning)
-            text.append(f"| {' | '.join(cells)} |\n")
+            rows.append(f"| {' | '.join(cells)} |\n")
         if explained:
             raise ValueError(f"{MEANINGS.name}: no key {section}.{next(iter(explained))}")
+        first = shown.setdefault("".join(rows), section)
+        if first != section:
+            text.append(f"\nThe keys of `[{first}]`.\n")
+            continue
+        text.extend(
+            ("\n| key | unit | default | allowed | meaning |\n|---|---|---|---|---|\n", *rows)
+        )
     if meanings:
         raise ValueError(f"{MEANINGS.name}: no section {next(iter(meanings))}")
     return "".join(text)
