@@ -82,6 +82,7 @@ def fill_echoes(
     """Both actuators between commands that arrive at ticks, with their commands held between."""
     echoes.longest = max(math.ceil(ECHO_S / tick_s), LEAST_ECHO_TICKS)
     echoes.working = WORKING_ECHOES
+    echoes.hand_over = 1.0 - math.exp(-tick_s / HAND_OVER_S)
     for own, reporting in ((echoes.actuator_1, actuators[0]), (echoes.actuator_2, actuators[1])):
         own.least = (CLEAR_OF_NOISE * reporting.noise_rms) ** 2
         actuator = reporting.actuator
@@ -190,6 +191,7 @@ WHITE = 0.1  # white part of the remainder
 RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's change of G1 u1
 POWERLESS_S = 0.3  # a car follows large commands sooner
 WORKING_ECHOES = 50  # good echoes, one after another, that end a fault
+HAND_OVER_S = 0.25  # lag, twice in a row, in which C takes over from F̂
 KEEP = 0.8  # factor per sample of the fading sums of a witness
 NEARER = 4.0  # ratio of squares: who is wrong is twice as far away
 APART = 7.0  # deviations of the noise, in a fading sum of five samples

@@ -248,7 +248,7 @@ def transfer_to_losses(table: Table, state: layout.State) -> None:
     """Begin a bumpless transfer of F̂ to the known loss."""
     loss = state.loss_model
     lost = loss.previous_fading + loss.followed * loss.previous_output
-    lost += state.echoes.channel_1.previous
+    lost += state.echoes.channel_1.previous - state.echoes.handed
     speed = compensated_output(table, state) - lost
     begin_transfer(table.bumpless_transfer, state.bumpless_transfer, lost, speed)
 
@@ -260,5 +260,5 @@ def compensated_output(table: Table, state: layout.State) -> float:
     lost: float = fading_output(table, state) + loss.followed * loss_output(table, state)
     if table.echoes.longest > 0:
         g1, echo = table.estimator.channel_1, state.echoes.channel_1
-        lost += known_output(table.echoes.actuator_1, g1, echo)
+        lost += known_output(table.echoes.actuator_1, g1, echo) - state.echoes.handed
     return lost

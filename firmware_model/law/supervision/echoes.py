@@ -12,6 +12,10 @@ wrong or repeat the command: the evidence comes from d̂ (``hypotheses``). Once 
 enough, the law *believes* the echo: G v leaves d̂, and F̂ gets the missing output of actuator 1. A
 believed echo that turns out to be wrong is found by the same signature with the opposite sign.
 
+A motor that still obeys, with an offset, a drift or a delay, can make up for its own error: C takes
+over the part that F̂ carries, as fast as two lags in a row. A motor obeys if the changes of e differ
+from the changes of the modelled output. At the limit of its command the motor has no reserve.
+
 Between two echoes e stays. An echo that stays away for long gives no information.
 """
 
@@ -53,6 +57,7 @@ class Constants(Struct):
     wrong: Annotated[candidate.Limits, "1", "the limits where the echo is believed"]
     longest: Annotated[int, "tick", "largest age of an echo that counts; 0: no actuator reports"]
     working: Annotated[int, "1", "echoes without a fault that end the belief"]
+    hand_over: Annotated[float, "1", "part of the distance per tick of a lag, from F̂ to C"]
 
 
 class Echo(Struct):
@@ -65,6 +70,9 @@ class Echo(Struct):
     missing: Annotated[float, "command²", "fading Σ e · output over the echoes"]
     off: Annotated[float, "command²", "fading Σ e² over the echoes"]
     power: Annotated[float, "command²", "fading Σ output² over the echoes"]
+    modelled: Annotated[float, "command", "modelled output at the sample of the last echo"]
+    stray: Annotated[float, "command²", "fading Σ change of e · change of output, since believed"]
+    swing: Annotated[float, "command²", "fading Σ (change of output)², likewise"]
     good: Annotated[int, "1", "echoes without a fault, one after another"]
     left: Annotated[int, "tick", "for so long the last echo counts; 0: no echo"]
     believed: Annotated[int, "1", "1: e is known to be missing"]
@@ -78,6 +86,8 @@ class State(Struct):
     channel_1: Annotated[Echo, "1", "of actuator 1"]
     channel_2: Annotated[Echo, "1", "of actuator 2"]
     index: Annotated[int, "1", "index of the newest output in the rings"]
+    between: Annotated[float, "y", "what C has taken over, behind the first lag"]
+    handed: Annotated[float, "y", "the same behind the second lag"]
 
 
 @firmware
@@ -86,7 +96,10 @@ def take_echo(constants: Constants, state: State, own: Echo, echo: float, age: f
     index = (state.index + KEPT_TICKS - int(age)) % KEPT_TICKS
     modelled, half = own.outputs[index], real(0.5, echo)
     error = modelled - echo
-    own.error = error
+    moved, keep = modelled - own.modelled, real(0.99, echo)
+    own.stray = keep * own.stray + moved * (error - own.error)
+    own.swing = keep * own.swing + moved * moved
+    own.error, own.modelled = error, modelled
     own.missing = half * own.missing + modelled * error
     own.off = half * own.off + error * error
     own.power = half * own.power + modelled * modelled
@@ -117,6 +130,11 @@ def advance_echoes(table: Table, state: layout.State) -> None:
     own.index = (own.index + 1) % KEPT_TICKS
     advance_echo(constants.actuator_1, estimator.channel_1, own.channel_1, u1, own.index)
     advance_echo(constants.actuator_2, estimator.channel_2, own.channel_2, u2, own.index)
+    taken = real(0.0, u1)
+    if obeys(constants.actuator_1, own.channel_1) and abs(u1) < table.actuator_1.limit:
+        taken = own.channel_1.previous
+    own.between += constants.hand_over * (taken - own.between)
+    own.handed += constants.hand_over * (own.between - own.handed)
 
 
 @firmware
@@ -181,6 +199,7 @@ def believe(
     add_signal(table.mismatch.whitener, state.mismatch.white.fading, sign, row.white)
     own.believed = 1 - own.believed
     own.good = 0
+    own.stray = own.swing = 0.0
 
 
 @firmware
@@ -190,6 +209,17 @@ def says_lost(constants: Actuator, own: Echo) -> bool:
     shows = own.left > 0 and own.power > constants.least
     lost: bool = shows and own.missing > quarter * own.power
     return lost
+
+
+@firmware
+def obeys(constants: Actuator, own: Echo) -> bool:
+    """Whether a faulty actuator follows the changes of its commands, as far as noise lets one see.
+
+    The changes of e of a dead or stuck actuator are those of the modelled output.
+    """
+    most = real(0.75, own.swing)
+    follows: bool = own.swing > constants.least and own.stray < most * own.swing
+    return follows
 
 
 @firmware
@@ -211,13 +241,15 @@ def settle_echoes(table: Table, state: layout.State) -> None:
     constants, own = table.echoes, state.echoes
     settle_echo(constants.actuator_1, own.channel_1, state.command_1)
     settle_echo(constants.actuator_2, own.channel_2, state.command_2)
+    own.between = own.handed = 0.0
 
 
 @firmware
 def settle_echo(constants: Actuator, own: Echo, command: float) -> None:
     """The actuator has followed ``command`` for long."""
     settle_whitener(constants.stage, own.stage, command)
-    own.outputs[:] = command
+    own.outputs[:] = own.modelled = command
     own.known.accumulators[:] = 0.0
     own.error = own.before = own.missing = own.off = own.power = own.previous = 0.0
+    own.stray = own.swing = 0.0
     own.good = own.left = own.believed = 0

@@ -20,7 +20,7 @@ from firmware_model.law.structs import FloatArray
 from firmware_model.law.supervision.echoes import KEPT_TICKS
 from firmware_model.law.supervision.further_sensors import hear
 from firmware_model.law.supervision.verdict import standing
-from tests.firmware.law.cases import CAR, TICK_S
+from tests.firmware.law.cases import CAR, TICK_S, changed
 
 LAGS = (Stage(0.005), Stage(0.015))
 SLOW = Stage(natural_frequency_rad_per_s=80.0, damping=0.6, dead_time_s=0.003)
@@ -194,6 +194,34 @@ def test_a_swinging_torque_is_compensated_until_it_works_again() -> None:
     assert peak(answers) > 0.0
     assert verdicts(answers)[-1] in (Verdict.NOTHING, Verdict.ANOTHER_CAR)
     assert abs(answers[-1].command_2) < 0.2 * peak(answers)
+
+
+def test_a_motor_that_drifts_and_obeys_makes_up_for_its_own_drift() -> None:
+    """The force carries the drift of half a second, not the sum of all drift."""
+    per_tick, ticks = 0.03, FAULT + 3000
+
+    def drifts(torque: float, force: float, k: int) -> tuple[float, float]:
+        return torque + per_tick * k, force
+
+    answers = drive(table_of(), drifts, honest, ticks=ticks)
+    assert Verdict.TORQUE_OFFSET in verdicts(answers)
+    whole = abs(CAR.g1.dc_gain / CAR.g2.dc_gain) * per_tick * 3000
+    late = np.array([answer[:2] for answer in answers[-630:]])  # a whole period of the sine
+    assert abs(late[:, 1].mean()) < 0.35 * whole
+    assert abs(late[:, 0].mean() + per_tick * (3000 - 315)) < 0.35 * per_tick * 3000
+
+
+def test_a_motor_that_is_stuck_makes_up_for_nothing() -> None:
+    """Every answer is the answer of a law without the hand-over."""
+
+    def stuck(_torque: float, force: float, _k: int) -> tuple[float, float]:
+        return 30.0, force
+
+    table = table_of()
+    without = changed(table, echoes={"hand_over": 0.0})[0]
+    answers = drive(table, stuck, honest, ticks=FAULT + 1000)
+    assert answers == drive(without, stuck, honest, ticks=FAULT + 1000)
+    assert Verdict.TORQUE_OFFSET in verdicts(answers)
 
 
 def test_a_force_that_dies_beside_a_lost_torque_is_the_loss_of_both() -> None:
