@@ -71,10 +71,14 @@ def test_the_shell_completes_names() -> None:
 def test_the_shell_completes_every_key_that_the_list_of_keys_has() -> None:
     complete = BashComplete(main, {}, "can-rig", "_CAN_RIG_COMPLETE")
     offered = [item.value for item in complete.get_completions(["run", "--set"], "")]
-    listed = []
+    listed: list[str] = []
+    keys_of: dict[str, list[str]] = {}
     for part in re.split(r"^## ", SCENARIO_KEYS.read_text(), flags=re.M)[1:]:
         table = re.match(r"`\[(.*)\]`", part)
         names = re.findall(r"^\| `(\w+)` \|", part, flags=re.M)
+        for other in re.findall(r"^The keys of `\[(.*)\]`\.$", part, flags=re.M):
+            names += keys_of[other]
+        keys_of[table[1] if table else ""] = names
         listed += [f"{table[1]}.{name}" if table else name for name in names]
     of_the_plant = [key for key in listed if key.startswith("plant.")]
     listed += [f"model.{key.removeprefix('plant.')}" for key in of_the_plant]
