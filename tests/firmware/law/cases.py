@@ -6,6 +6,8 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
 
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.mismatch import Channels, Mismatch, principal_mismatch
@@ -61,3 +63,13 @@ def covariance_of(mismatch: Any) -> FloatArray:
     """P of its filter, from the factors."""
     factor = np.tril(mismatch.covariance.lower, -1) + np.eye(MAX_STATES)
     return np.asarray(factor * mismatch.covariance.variances @ factor.T)
+
+
+def through(sections: Any, values: NDArray[Any]) -> NDArray[Any]:
+    """Scipy's answer of a filter to ``values``."""
+    return np.asarray(signal.sosfilt(sections.sos, values))
+
+
+def late(values: NDArray[Any], ticks: int) -> NDArray[Any]:
+    """``values`` so many ticks later, zero before."""
+    return np.concatenate([np.zeros(ticks), values])[: len(values)]

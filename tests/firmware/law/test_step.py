@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import signal
 
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import chapter_2
@@ -21,7 +20,7 @@ from firmware_model.law.core.tracking import missing_output, track_on
 from firmware_model.law.status import FaultState, Mode
 from firmware_model.law.supervision.bumpless_transfer import transfer
 from firmware_model.law.supervision.decision import compensated_output
-from tests.firmware.law.cases import DESIGN, NEVER, TICK_S, changed, other_cars
+from tests.firmware.law.cases import DESIGN, NEVER, TICK_S, changed, late, other_cars, through
 
 OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
 TICKS = 40
@@ -32,14 +31,6 @@ FEEDING = ["tustin", "tustin-held", "zoh"]
 NAMES = ("command_1", "command_2", "fault_estimate", "mode", "fault_state")
 
 Columns = dict[str, NDArray[Any]]
-
-
-def through(sections: Any, values: NDArray[Any]) -> NDArray[Any]:
-    return np.asarray(signal.sosfilt(sections.sos, values))
-
-
-def late(values: NDArray[Any], ticks: int) -> NDArray[Any]:
-    return np.concatenate([np.zeros(ticks), values])[: len(values)]
 
 
 def run(table: Any, state: Any, measured: NDArray[Any] = MEASURED) -> Columns:

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import signal
 
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Mode
-from tests.firmware.law.cases import DESIGN, TICK_S
+from tests.firmware.law.cases import DESIGN, TICK_S, late, through
 
 TICKS = 40
 DRAW = np.random.default_rng(4)
@@ -30,14 +29,6 @@ def run(target: Target, reference: NDArray[Any], measured: NDArray[Any]) -> dict
         controller.step(table, state, r, y)
         rows.append([float(state[name]) for name in names])
     return dict(zip(names, np.array(rows).T, strict=True))
-
-
-def through(sections: Any, values: NDArray[Any]) -> NDArray[Any]:
-    return np.asarray(signal.sosfilt(sections.sos, values))
-
-
-def late(values: NDArray[Any], ticks: int) -> NDArray[Any]:
-    return np.concatenate([np.zeros(ticks), values])[: len(values)]
 
 
 @pytest.mark.parametrize("latency", [0, 2])

@@ -106,7 +106,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_find_package_finds_an_installed_export(installed: Path, tmp_path: Path) -> None:
-    """Without the folder that it was built in."""
+    """The installed package needs no file of the folder of the export."""
     (installed / "controller").rename(installed / "moved")
     run("cmake", "-S", EXAMPLES, "-B", tmp_path, f"-DCMAKE_PREFIX_PATH={installed / 'opt'}",
         f"-DCMAKE_C_FLAGS={' '.join(STRICT)}")  # fmt: skip
