@@ -87,7 +87,7 @@ from firmware_model.law.supervision.other_cars import (
     advance_other_cars,
     settle_other_cars,
 )
-from firmware_model.law.supervision.overflow import clear_memories
+from firmware_model.law.supervision.overflow import begin_anew, clear_memories, is_damaged
 from firmware_model.law.supervision.prediction import (
     clear_prediction,
     distrust,
@@ -167,6 +167,8 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         reference: r, in the measurement's unit, in any precision.
         measurement: y (D*), likewise.
     """
+    if is_damaged(state):
+        begin_anew(table, state)
     r, y = real(reference, state.reference), real(measurement, state.measurement)
     told = math.isfinite(r)
     frozen = state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement

@@ -166,6 +166,7 @@ def confirmed_after(answers: list[Answer]) -> int:
     return found - FAULT
 
 
+@pytest.mark.compiled
 def test_a_loss_is_confirmed_sooner_with_an_echo_and_against_a_lying_one() -> None:
     alone, told, denied = (
         confirmed_after(drive(table_of(), dead, hears)) for hears in (None, honest, lying)
@@ -173,6 +174,7 @@ def test_a_loss_is_confirmed_sooner_with_an_echo_and_against_a_lying_one() -> No
     assert told < denied <= alone
 
 
+@pytest.mark.compiled
 def test_a_force_of_its_own_is_found_by_its_echo_and_is_no_loss_of_the_torque() -> None:
     answers = drive(table_of(), force_swings, honest)
     assert FaultState.CONFIRMED not in states(answers)
@@ -182,6 +184,7 @@ def test_a_force_of_its_own_is_found_by_its_echo_and_is_no_loss_of_the_torque() 
     assert Verdict.FORCE_LOST not in verdicts(drive(table_of(), force_swings))
 
 
+@pytest.mark.compiled
 def test_a_swinging_torque_is_compensated_until_it_works_again() -> None:
     ticks = FAULT + 700
 
@@ -196,6 +199,7 @@ def test_a_swinging_torque_is_compensated_until_it_works_again() -> None:
     assert abs(answers[-1].command_2) < 0.2 * peak(answers)
 
 
+@pytest.mark.compiled
 def test_a_motor_that_drifts_and_obeys_makes_up_for_its_own_drift() -> None:
     """The force carries the drift of half a second, not the sum of all drift."""
     per_tick, ticks = 0.03, FAULT + 3000
@@ -211,6 +215,7 @@ def test_a_motor_that_drifts_and_obeys_makes_up_for_its_own_drift() -> None:
     assert abs(late[:, 0].mean() + per_tick * (3000 - 315)) < 0.35 * per_tick * 3000
 
 
+@pytest.mark.compiled
 def test_a_motor_that_is_stuck_makes_up_for_nothing() -> None:
     """Every answer is the answer of a law without the hand-over."""
 
@@ -224,11 +229,13 @@ def test_a_motor_that_is_stuck_makes_up_for_nothing() -> None:
     assert Verdict.TORQUE_OFFSET in verdicts(answers)
 
 
+@pytest.mark.compiled
 def test_a_force_that_dies_beside_a_lost_torque_is_the_loss_of_both() -> None:
     answers = drive(table_of(), both_dead, honest)
     assert Verdict.BOTH_LOST in verdicts(answers)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("channel", [1, 2])
 def test_a_wrong_echo_of_a_working_actuator_moves_nothing(channel: int) -> None:
     def wrong(outputs: Any, _commands: Any, _k: int) -> Any:
@@ -240,6 +247,7 @@ def test_a_wrong_echo_of_a_working_actuator_moves_nothing(channel: int) -> None:
     assert set(verdicts(answers)) <= {Verdict.NOTHING, Verdict.ANOTHER_CAR}
 
 
+@pytest.mark.compiled
 def test_a_law_that_hears_nothing_is_the_law_without_echoes() -> None:
     assert drive(table_of(), dead) == drive(table_of(echoes=False), dead)
 

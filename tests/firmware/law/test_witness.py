@@ -128,11 +128,13 @@ def commands(driven: Driven) -> list[tuple[float, float]]:
     return [(answer.command_1, answer.command_2) for answer in driven.answers]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("hears", [right, off, swinging, nothing, None])
 def test_a_witness_of_a_healthy_car_changes_no_command_right_or_wrong(hears: Error | None) -> None:
     assert commands(drive(table_of(), hears=hears)) == commands(HEALTHY)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("sensor", [off, swinging, nothing, missing])
 def test_the_witness_stands_in_for_a_wrong_sensor(sensor: Error) -> None:
     heard, alone = drive(table_of(), sensor), drive(table_of(None), sensor, hears=None)
@@ -146,6 +148,7 @@ def test_the_witness_stands_in_for_a_wrong_sensor(sensor: Error) -> None:
         assert {answer.mode for answer in heard.answers[denied + PERIOD :]} == {Mode.BLIND}
 
 
+@pytest.mark.compiled
 def test_a_loss_is_confirmed_with_a_witness_as_soon_as_without() -> None:
     alone = drive(table_of(None), hears=None, acts=dead)
     heard = drive(table_of(), acts=dead)
@@ -155,6 +158,7 @@ def test_a_loss_is_confirmed_with_a_witness_as_soon_as_without() -> None:
     assert Verdict.SENSOR_WRONG not in heard.verdicts
 
 
+@pytest.mark.compiled
 def test_a_lost_torque_whose_echo_lies_is_confirmed_once_the_witness_shows_the_loss() -> None:
     honestly, against = (
         drive(table_of(echoes=True), acts=dead, echoes=says).states.index(FaultState.CONFIRMED)
@@ -168,6 +172,7 @@ def as_if_lost(y: float, k: int) -> float:
     return y - 8.0 * (TICK_S * k) ** 2
 
 
+@pytest.mark.compiled
 def test_a_sensor_that_pretends_a_loss_deceives_only_until_the_witness_refutes() -> None:
     pretended = drive(table_of(), as_if_lost, until=FAULT + 300)
     begun = pretended.states.index(FaultState.CONFIRMED)
@@ -179,12 +184,14 @@ def test_a_sensor_that_pretends_a_loss_deceives_only_until_the_witness_refutes()
     assert pretended.off(HEALTHY) < 0.4
 
 
+@pytest.mark.compiled
 def test_the_echo_of_a_working_motor_keeps_a_pretended_loss_from_being_confirmed() -> None:
     pretended = drive(table_of(echoes=True), as_if_lost, echoes=honest)
     assert FaultState.CONFIRMED not in pretended.states
     assert Verdict.SENSOR_WRONG in pretended.verdicts
 
 
+@pytest.mark.compiled
 def test_without_a_sensor_the_witness_shows_what_the_model_does_not_know() -> None:
     held = {"wanted": lambda k: 0.0, "push": 10.0}
     heard = drive(table_of(), missing, **held)
@@ -193,6 +200,7 @@ def test_without_a_sensor_the_witness_shows_what_the_model_does_not_know() -> No
     assert abs(heard.y[-1] - seen.y[-1]) < 0.1 * abs(blind.y[-1] - seen.y[-1])
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(("hears", "last"), [(right, Mode.BLIND), (None, Mode.SAFE_STOP)])
 def test_a_blind_controller_stops_unless_a_witness_comes(hears: Error | None, last: Mode) -> None:
     driven = drive(table_of(blind_s=0.1), missing, hears)
@@ -203,6 +211,7 @@ def falls_silent(y: float, k: int) -> float:
     return y if k < 100 else math.nan  # 100 ms later the witness counts for nothing
 
 
+@pytest.mark.compiled
 def test_a_denied_sensor_stays_denied_when_the_witness_falls_silent() -> None:
     driven = drive(table_of(blind_s=0.02), off, falls_silent)
     modes = [answer.mode for answer in driven.answers]
@@ -215,6 +224,7 @@ def test_a_denied_sensor_stays_denied_when_the_witness_falls_silent() -> None:
     assert set(modes[stop:]) == {Mode.SAFE_STOP}
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("moves", [True, False])
 def test_a_sensor_that_works_again_is_believed_once_the_car_has_moved(moves: bool) -> None:
     def wanted(k: int) -> float:
@@ -228,6 +238,7 @@ def test_a_sensor_that_works_again_is_believed_once_the_car_has_moved(moves: boo
     assert (driven.verdicts[-1] == Verdict.SENSOR_WRONG) is not moves
 
 
+@pytest.mark.compiled
 def test_an_unknown_speed_is_no_fault() -> None:
     def faster(y: float, k: int) -> float:
         return y * (1.0 + 0.2 * (1.0 - WEIGHT))
@@ -254,6 +265,7 @@ def test_what_is_no_sample_is_not_heard(sample: tuple[int, float, float]) -> Non
         assert firmware.step(0.1, 0.0) == other.step(0.1, 0.0), k
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("age", [7, 30])
 def test_a_sample_counts_for_the_tick_in_which_it_was_taken(age: int) -> None:
     """Old samples stand in for the sensor nearly as well as new ones, if their age is told."""
@@ -265,6 +277,7 @@ def absurd(y: float, k: int) -> float:
     return 1e200 if k < 20 else y
 
 
+@pytest.mark.compiled
 def test_a_sensor_that_says_absurd_numbers_is_believed_again_after_all() -> None:
     table = table_of(limit_1=400.0, limit_2=4000.0).copy()
     table.witness.working = 40
@@ -293,6 +306,7 @@ def test_the_witness_knows_the_speed_of_a_car_that_says_it() -> None:
         assert at.table.witness.speed == speed_mps
 
 
+@pytest.mark.compiled
 def test_an_unknown_torque_is_no_fault_of_a_sensor_that_the_witness_confirms() -> None:
     """D* alone takes the torque for a sensor's fault again and again."""
     sensor = {Verdict.SENSOR_WRONG, Verdict.SENSOR_DRIFTING, Verdict.SENSOR_FROZEN}
@@ -302,6 +316,7 @@ def test_an_unknown_torque_is_no_fault_of_a_sensor_that_the_witness_confirms() -
     assert sensor & set(alone.verdicts[FAULT + 60 :])
 
 
+@pytest.mark.compiled
 def test_a_sample_older_than_the_memory_counts_for_nothing() -> None:
     late = Witness(WEIGHT, SPEED_MPS, lag_s=5 * TICK_S, noise_rms=RMS)
     oldest = KEPT_TICKS - 1
@@ -313,6 +328,7 @@ def dies_later(torque: float, force: float, k: int) -> tuple[float, float]:
     return (torque, force) if k < 200 else (0.0, force)
 
 
+@pytest.mark.compiled
 def test_a_motor_that_dies_beside_a_denied_sensor_is_compensated_from_its_echo() -> None:
     alone = drive(table_of(), nothing, acts=dies_later)
     honestly, against = (
