@@ -111,11 +111,12 @@ def only_json() -> None:
 
     That holds for the user's classes, libraries and FMUs too, also in processes started later.
     """
-    if sys.stdout is None or sys.stderr is None or sys.stdout is not sys.__stdout__ or _for_json:
+    out, err = sys.__stdout__, sys.__stderr__
+    if out is None or err is None or sys.stdout is not out or _for_json:
         return
-    sys.stdout.flush()
-    _for_json.append(os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding=sys.stdout.encoding))
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    out.flush()
+    _for_json.append(os.fdopen(os.dup(out.fileno()), "w", encoding=out.encoding))
+    os.dup2(err.fileno(), out.fileno())
 
 
 def json_line(**values: object) -> None:
