@@ -174,7 +174,6 @@ def test_a_loss_is_confirmed_sooner_with_an_echo_and_against_a_lying_one() -> No
     assert told < denied <= alone
 
 
-@pytest.mark.compiled
 def test_a_force_of_its_own_is_found_by_its_echo_and_is_no_loss_of_the_torque() -> None:
     answers = drive(table_of(), force_swings, honest)
     assert FaultState.CONFIRMED not in states(answers)
@@ -184,7 +183,6 @@ def test_a_force_of_its_own_is_found_by_its_echo_and_is_no_loss_of_the_torque() 
     assert Verdict.FORCE_LOST not in verdicts(drive(table_of(), force_swings))
 
 
-@pytest.mark.compiled
 def test_a_swinging_torque_is_compensated_until_it_works_again() -> None:
     ticks = FAULT + 700
 
@@ -229,13 +227,11 @@ def test_a_motor_that_is_stuck_makes_up_for_nothing() -> None:
     assert Verdict.TORQUE_OFFSET in verdicts(answers)
 
 
-@pytest.mark.compiled
 def test_a_force_that_dies_beside_a_lost_torque_is_the_loss_of_both() -> None:
     answers = drive(table_of(), both_dead, honest)
     assert Verdict.BOTH_LOST in verdicts(answers)
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("channel", [1, 2])
 def test_a_wrong_echo_of_a_working_actuator_moves_nothing(channel: int) -> None:
     def wrong(outputs: Any, _commands: Any, _k: int) -> Any:

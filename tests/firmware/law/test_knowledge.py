@@ -138,7 +138,6 @@ def test_a_known_error_of_the_sensor_stays_known() -> None:
     assert Verdict.NOTHING in {answer.verdict for answer in loop.run(2000)}
 
 
-@pytest.mark.compiled
 def test_the_car_stays_known() -> None:
     loop = Loop()
     loop.run(1000)
@@ -184,7 +183,6 @@ def test_saved_knowledge_ends_with_a_reset_and_outlives_ticks_without_inputs() -
     assert firmware.step(0.0, 0.0).fault_state != FaultState.CONFIRMED
 
 
-@pytest.mark.compiled
 def test_a_frozen_sensor_before_a_restart_says_nothing_of_the_sensor_after() -> None:
     loop = Loop()
     loop.run(600)

@@ -281,7 +281,6 @@ def test_a_law_that_is_broken_is_stopped(law: Law, share: float) -> None:
     assert free[-100:].max() > 2.0
 
 
-@pytest.mark.compiled
 def test_the_law_says_what_is_taken_away_and_its_models_follow_what_is_left() -> None:
     firmware = Firmware(build(DESIGN, TARGET))
     firmware.begin(at_rest=True)

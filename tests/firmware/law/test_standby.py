@@ -112,7 +112,6 @@ def test_a_car_that_was_turned_by_its_driver_shows_no_fault_while_it_comes_back(
     assert largest < 1e-6 * abs(begin)
 
 
-@pytest.mark.compiled
 def test_a_known_loss_is_taken_over_after_a_short_standby_without_a_bump(firmware):
     its, forces = Car(), []
     firmware.reset(0.0)

@@ -172,7 +172,6 @@ def as_if_lost(y: float, k: int) -> float:
     return y - 8.0 * (TICK_S * k) ** 2
 
 
-@pytest.mark.compiled
 def test_a_sensor_that_pretends_a_loss_deceives_only_until_the_witness_refutes() -> None:
     pretended = drive(table_of(), as_if_lost, until=FAULT + 300)
     begun = pretended.states.index(FaultState.CONFIRMED)
@@ -184,7 +183,6 @@ def test_a_sensor_that_pretends_a_loss_deceives_only_until_the_witness_refutes()
     assert pretended.off(HEALTHY) < 0.4
 
 
-@pytest.mark.compiled
 def test_the_echo_of_a_working_motor_keeps_a_pretended_loss_from_being_confirmed() -> None:
     pretended = drive(table_of(echoes=True), as_if_lost, echoes=honest)
     assert FaultState.CONFIRMED not in pretended.states
@@ -224,7 +222,6 @@ def test_a_denied_sensor_stays_denied_when_the_witness_falls_silent() -> None:
     assert set(modes[stop:]) == {Mode.SAFE_STOP}
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("moves", [True, False])
 def test_a_sensor_that_works_again_is_believed_once_the_car_has_moved(moves: bool) -> None:
     def wanted(k: int) -> float:
@@ -277,7 +274,6 @@ def absurd(y: float, k: int) -> float:
     return 1e200 if k < 20 else y
 
 
-@pytest.mark.compiled
 def test_a_sensor_that_says_absurd_numbers_is_believed_again_after_all() -> None:
     table = table_of(limit_1=400.0, limit_2=4000.0).copy()
     table.witness.working = 40
@@ -306,7 +302,6 @@ def test_the_witness_knows_the_speed_of_a_car_that_says_it() -> None:
         assert at.table.witness.speed == speed_mps
 
 
-@pytest.mark.compiled
 def test_an_unknown_torque_is_no_fault_of_a_sensor_that_the_witness_confirms() -> None:
     """D* alone takes the torque for a sensor's fault again and again."""
     sensor = {Verdict.SENSOR_WRONG, Verdict.SENSOR_DRIFTING, Verdict.SENSOR_FROZEN}
@@ -316,7 +311,6 @@ def test_an_unknown_torque_is_no_fault_of_a_sensor_that_the_witness_confirms() -
     assert sensor & set(alone.verdicts[FAULT + 60 :])
 
 
-@pytest.mark.compiled
 def test_a_sample_older_than_the_memory_counts_for_nothing() -> None:
     late = Witness(WEIGHT, SPEED_MPS, lag_s=5 * TICK_S, noise_rms=RMS)
     oldest = KEPT_TICKS - 1
@@ -328,7 +322,6 @@ def dies_later(torque: float, force: float, k: int) -> tuple[float, float]:
     return (torque, force) if k < 200 else (0.0, force)
 
 
-@pytest.mark.compiled
 def test_a_motor_that_dies_beside_a_denied_sensor_is_compensated_from_its_echo() -> None:
     alone = drive(table_of(), nothing, acts=dies_later)
     honestly, against = (
