@@ -80,8 +80,10 @@ def outside(index: int, size: int) -> bool:
 
 
 @firmware
-def begin_anew(table: Table, state: State) -> None:
-    """Trust no memory but the commands: as if they had stood for long."""
+def repair(table: Table, state: State) -> None:
+    """A damaged state trusts nothing but its commands, as if they had stood for long."""
+    if not is_damaged(state):
+        return
     one, two = state.command_1, state.command_2
     settle_estimator(table.estimator, state.estimator, one, two, real(0.0, one))
     clear_models(state)
