@@ -56,7 +56,7 @@ def signal_notes(scenario: Scenario, network: Network, gains: tuple[float, float
     for gain, codec, name in zip(
         gains, (network.command_1, network.command_2), names[1:], strict=True
     ):
-        if gain * rounding > COARSE * codec.maximum:
+        if COARSE * codec.maximum < gain * rounding < math.inf:
             yield (
                 f"network: {network.feedback.name}.{network.feedback.signal_name} is too coarse: "
                 f"its step of {network.feedback.lsb:g} moves {name.said} by "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -74,10 +75,11 @@ def command(
     if out is not None:
         with atomic(out, force=force) as part:
             found.draw(part)
+    failed = any(row.failure for row in found.rows)
     if as_json:
         for row in found.rows:
             json_line(**vars(row))
-        return
+        sys.exit(failed)
     figures = table("case", "controller", "peak", "rms", "settled", "confirmed", "|u1|", "|u2|",
                     left=2)  # fmt: skip
     before = ""
@@ -87,6 +89,7 @@ def command(
     wide().print(figures)
     say("|r - y| in the output's unit; confirmed: s after the fault; u1, u2: peaks of the commands")
     say(*(f"{row.case}, {row.controller}: {row.failure}" for row in found.rows if row.failure))
+    sys.exit(failed)
 
 
 def _cells(row: Compared) -> Sequence[str]:

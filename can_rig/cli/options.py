@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
+from can_rig.cli.output import only_json
 from can_rig.controllers import CONTROLLERS, SERIAL
 from can_rig.nodes.interaction import Interaction
 from can_rig.scenario import shipped
@@ -165,8 +166,14 @@ force_option = click.option("--force", is_flag=True, help="Replace outputs that 
 
 
 def json_option(what: str = "The result as one JSON object.") -> Callable[[Function], Function]:
-    """--json, which prints ``what``."""
-    return click.option("--json", "as_json", is_flag=True, help=what)
+    """--json, which prints ``what``, and nothing else, on standard output."""
+    return click.option("--json", "as_json", is_flag=True, callback=_only_json, help=what)
+
+
+def _only_json(_context: click.Context, _option: click.Parameter, as_json: bool) -> bool:
+    if as_json:
+        only_json()
+    return as_json
 
 
 def silence_option(default: str) -> Callable[[Function], Function]:

@@ -7,12 +7,13 @@ the bar, never a thread, so a process with a bar can fork.
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -101,10 +102,28 @@ def complain(text: str) -> None:
     _print(Console(stderr=True), [f"error: {text}"], "red")
 
 
+_for_json: list[TextIO] = []
+"""Standard output, where only JSON goes there."""
+
+
+def only_json() -> None:
+    """From here on everything but JSON that is printed goes to standard error.
+
+    That holds for the user's classes, libraries and FMUs too, also in processes started later.
+    """
+    out, err = sys.__stdout__, sys.__stderr__
+    if out is None or err is None or sys.stdout is not out or _for_json:
+        return
+    out.flush()
+    _for_json.append(os.fdopen(os.dup(out.fileno()), "w", encoding=out.encoding))
+    os.dup2(err.fileno(), out.fileno())
+
+
 def json_line(**values: object) -> None:
     """Print one line of JSON on standard output, without buffering."""
-    plain = sys.stdout is None or "utf" not in sys.stdout.encoding.lower()
-    print(json.dumps(values, ensure_ascii=plain), flush=True)
+    stream = _for_json[0] if _for_json else sys.stdout
+    plain = stream is None or "utf" not in stream.encoding.lower()
+    print(json.dumps(values, ensure_ascii=plain), file=stream, flush=True)
 
 
 def _print(console: Console, lines: list[str] | tuple[str, ...], style: str | None = None) -> None:

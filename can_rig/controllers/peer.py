@@ -10,6 +10,7 @@ from typing import Any, Final
 from can_rig.controllers.protocol import Answer, Inputs
 from can_rig.controllers.setup import ControllerSetup
 from can_rig.errors import RigError, ScenarioError
+from can_rig.scenario.controller_settings import PEERS
 from can_rig.scenario.own_class import failure, find_class, guard, require_signature
 from firmware_model.law.status import Mode
 
@@ -37,6 +38,8 @@ def class_of(setup: ControllerSetup) -> Callable[[], Any]:
 
     def made() -> Any:
         controller = guard(where, f"{name}(setup) failed", lambda: construct(setup))
+        if chosen.kind in PEERS and setup.unread:
+            raise ScenarioError(setup.unread)
         missing = [each for each in METHODS if not callable(getattr(controller, each, None))]
         if missing:
             raise ScenarioError(
@@ -48,6 +51,15 @@ def class_of(setup: ControllerSetup) -> Callable[[], Any]:
         return controller
 
     return made
+
+
+def _as_float(value: Any) -> float:
+    """A number, or an array of shape (), as a float; nan for anything else."""
+    number = value.item() if getattr(value, "shape", None) == () else value
+    try:
+        return float(number) if isinstance(number, Real) else math.nan
+    except OverflowError:
+        return math.nan
 
 
 def where_of(setup: ControllerSetup) -> str:
@@ -151,9 +163,9 @@ class Peer:
             value = getattr(checked, name)
             if value is None and name == "fault_estimate":
                 continue
-            if not isinstance(value, Real) or not math.isfinite(value):
+            numbers[name] = _as_float(value)
+            if not math.isfinite(numbers[name]):
                 raise self._refused(answer, f"{name} must be a finite number")
-            numbers[name] = float(value)
         for name, largest in CODES.items():
             value = getattr(checked, name)
             if value is None:

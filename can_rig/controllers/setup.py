@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from can_rig.scenario.build import continuous_plant, target
@@ -21,6 +21,16 @@ class ControllerSetup:
     """
 
     scenario: Scenario
+    _asked: set[str] = field(default_factory=set, init=False, compare=False)
+
+    @property
+    def unread(self) -> str:
+        """One line on a parameter that ``number`` was never asked for; "" without any."""
+        for name in self.parameters:
+            if name not in self._asked:
+                known = ", ".join(sorted(self._asked)) or "none"
+                return f"controller.parameters.{name}: unknown; known: {known}"
+        return ""
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -29,6 +39,7 @@ class ControllerSetup:
 
     def number(self, name: str, default: float) -> float:
         """A number of ``parameters``; ``default`` where the table has no such number."""
+        self._asked.add(name)
         return float(self.parameters.get(name, default))
 
     @property

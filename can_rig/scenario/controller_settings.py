@@ -14,7 +14,7 @@ from can_rig.scenario.plant_settings import (
     Row,
     Table,
     TransferFunction,
-    flat_parameters,
+    checked_parameters,
     refuse_large,
 )
 from firmware_model.discretisation.rules import Rule
@@ -111,11 +111,7 @@ class ControllerSettings:
             raise ValueError(f"{given[0]}: must not be set for kind = {self.kind!r}; {FILTERS} has")
         if self.kind == FILTERS and not given:
             raise ValueError(f"{FILTER_NAMES[0]}: a filter must be set for kind = {FILTERS!r}")
-        for key, value in flat_parameters(self.parameters).items():
-            if not isinstance(value, bool | int | float | str):
-                raise ValueError(
-                    f"parameters.{key} = {value!r}: must be a number, a text, true or false"
-                )
+        for key, value in checked_parameters(self.parameters):
             if self.kind in (OURS, FILTERS):
                 raise ValueError(
                     f"parameters.{key} = {value!r}: must not be set for kind = {self.kind!r}"

@@ -106,6 +106,8 @@ def _transfer_function(key: str, system: Any) -> Whole:
             table = Whole(zeros=_roots(of.zeros), poles=_roots(of.poles), gain=of.gain)
     except DesignError as error:
         raise ScenarioError(f"{key}: {one_line(error)}") from None
+    if tick_s and key.startswith(("plant", "model")):
+        raise ScenarioError(f"{key}: a system sampled already (dt = {tick_s}): must not be")
     if tick_s:
         table["domain"] = "z"
         if tick_s is not True:  # of an unknown tick

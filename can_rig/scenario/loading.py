@@ -144,7 +144,8 @@ def toml_text(key: str, value: Any) -> str:
     if isinstance(plain, Mapping):
         pairs = (f"{json.dumps(name)} = {toml_text(key, each)}" for name, each in plain.items())
         return f"{{{', '.join(pairs)}}}"
-    raise ScenarioError(f"{key} = {value!r}: must be a number, a string, true or false, or a list")
+    shown = " ".join(repr(value).split())
+    raise ScenarioError(f"{key} = {shown}: must be a number, a string, true or false, or a list")
 
 
 def value_in(values: Mapping[str, Any], key: str) -> Any:

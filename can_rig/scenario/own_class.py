@@ -55,17 +55,26 @@ def find_class(where: str, path: str, method: str) -> type[object]:
     except BaseException as error:
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing and f"{module_name}.".startswith(f"{missing}."):  # not an import of the module
+            right = module_name.removesuffix(".py")
+            hint = f"; did you mean {right}:{class_name}?" if right != module_name else ""
             raise ScenarioError(
-                f"{where}: no module {missing}, neither installed nor in {here}"
+                f"{where}: no module {missing}, neither installed nor in {here}{hint}"
             ) from None
         raise ScenarioError(failure(where, f"{module_name} cannot be imported", error)) from None
     found = getattr(module, class_name, None)
     if inspect.isfunction(found):
         return type(class_name, (_Function,), {method: staticmethod(found)})
     if not inspect.isclass(found):
-        file = getattr(module, "__file__", module_name)
-        raise ScenarioError(f"{where}: no class or function {class_name} in {file}")
+        file = getattr(module, "__file__", None) or module_name
+        mine = Path(f"{module_name.replace('.', '/')}.py").resolve()
+        hidden = f", which hides {mine}: rename that file" if _is_other(mine, file) else ""
+        raise ScenarioError(f"{where}: no class or function {class_name} in {file}{hidden}")
     return found
+
+
+def _is_other(mine: Path, file: str) -> bool:
+    """Whether ``mine`` is a file, and another one than ``file``."""
+    return mine.is_file() and mine != Path(file).resolve()
 
 
 def failure(where: str, what: str, error: BaseException) -> str:

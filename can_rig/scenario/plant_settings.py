@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any, Final, Literal, Self
@@ -382,11 +382,7 @@ class PlantSettings(VehicleParameters):
 
     def _refuse_other_parameters(self) -> None:
         """Refuse parameters and variables for built-in plants, and invalid values."""
-        for key, value in flat_parameters(self.parameters).items():
-            if not isinstance(value, bool | int | float | str):
-                raise ValueError(
-                    f"parameters.{key} = {value!r}: must be a number, a text, true or false"
-                )
+        for key, value in checked_parameters(self.parameters):
             if not self.is_own:
                 raise ValueError(
                     f"parameters.{key} = {value!r}: must not be set for kind = {self.kind!r}; only "
@@ -493,6 +489,18 @@ def flat_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
         else:
             flat[key] = value
     return flat
+
+
+def checked_parameters(parameters: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """The flat parameters, each a finite number, a text, true or false."""
+    for key, value in flat_parameters(parameters).items():
+        if not isinstance(value, bool | int | float | str):
+            raise ValueError(
+                f"parameters.{key} = {value!r}: must be a number, a text, true or false"
+            )
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError(f"parameters.{key} = {value!r}: must be a finite number")
+        yield key, value
 
 
 def _refuse_shapes(a: tuple[Row, ...], b: tuple[Row, ...], c: Row) -> None:

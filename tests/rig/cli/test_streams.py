@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import subprocess
@@ -76,3 +77,15 @@ def test_too_few_open_files_are_one_line_and_no_traceback(files: int, tmp_path: 
         if done.returncode:
             assert done.stderr.splitlines()[-1].startswith("error: ")
             assert number or not (tmp_path / "two").exists()
+
+
+def test_json_is_alone_on_standard_output(tmp_path: Path) -> None:
+    (tmp_path / "talks.py").write_text(
+        "import os\n\ndef step(inputs):\n    print('by Python')\n"
+        "    os.write(1, b'by C\\n')\n    return inputs.reference, 0.0\n"
+    )
+    kind = ("--set", "controller.kind=talks:step", "--allow-unstable", "--set", "fault.kind=none")
+    done = rig("run", "--set", "duration_s=0.01", *kind, "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["ticks"] == 10
+    assert "by Python" in done.stderr and "by C" in done.stderr

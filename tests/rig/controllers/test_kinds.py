@@ -145,6 +145,8 @@ BAD = {
     "return 1 / 0, 0.0": r"step failed at 0 s: ZeroDivisionError: .* \(.*bad\.py, line 7\)",
     "return float('nan'), 0.0": r"step at 0 s answers \(nan, 0\.0\): command_1 must be a finite",
     "return 0.0, 1e400": r"step at 0 s answers \(0\.0, inf\): command_2 must be a finite",
+    "return 0.0, 10**400": r"step at 0 s answers .*: command_2 must be a finite",
+    "return __import__('numpy').array([[1.0], [0.0]])": r"command_1 must be a finite number",
     "return 1.0": r"step at 0 s answers 1\.0: must be \(command_1, command_2\) or an Answer",
     "return 1.0, 2.0, 3.0, 9": r"mode must be None or a code of 0 to 3",
     "raise SystemExit": r"step failed at 0 s: SystemExit",
@@ -163,12 +165,23 @@ def test_a_bad_answer_is_one_line(body: str, own: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_an_array_of_no_dimension_is_a_number(own: Path) -> None:
+    (own / "bad.py").write_text(
+        "import numpy as np\n\ndef step(inputs):\n"
+        "    return np.array(2.0) * inputs.reference, np.array(3)\n"
+    )
+    answer = peer_of(of("bad:step")).step(Inputs(1.5, 0.0))
+    assert answer[:2] == (3.0, 3.0)
+    assert all(type(command) is float for command in answer[:2])
+
+
 MODULES = {
     "class C:\n    pass": r"C\(\): must be C\(setup\)",
     "class C:\n    def __init__(self, setup): pass": r"no method reset and no method step",
     "import nothing_such": r"cannot be imported: ModuleNotFoundError: .*nothing_such",
     "class D:\n    pass": r"no class or function C in .*bad_module\.py",
     "class C:\n    def __init__(self, setup): raise KeyError(3)": r"KeyError: 3 \(.*line 2\)",
+    "raise SystemExit": r"bad_module cannot be imported: SystemExit",
     "class C(": r"cannot be imported: SyntaxError",
 }
 
@@ -179,6 +192,38 @@ def test_a_bad_class_is_refused_before_the_run(text: str, own: Path) -> None:
     with pytest.raises(RigError, match=MODULES[text]) as caught:
         refuse(of("bad_module:C"))
     assert str(caught.value).startswith("controller.kind = 'bad_module:C': ")
+
+
+@pytest.mark.parametrize(
+    ("kind", "right"),
+    [
+        ("mine.py:C", r"no module mine\.py, .*; did you mean mine:C\?"),
+        (
+            "math:C",
+            r"no class or function C in .*math.*, which hides .*/math\.py: rename that file",
+        ),
+        ("sub.mine:C", r"no class or function C in .*sub/mine\.py$"),
+    ],
+)
+def test_a_class_that_is_not_found_says_where_to_look(kind: str, right: str, own: Path) -> None:
+    (own / "sub").mkdir()
+    for name in ("mine", "math", "sub/mine"):
+        (own / f"{name}.py").touch()
+    with pytest.raises(ScenarioError, match=right):
+        refuse(of(kind))
+
+
+@pytest.mark.parametrize(
+    ("kind", "line"),
+    [
+        ("pi", "controller.parameters.kpp: unknown; known: lag_s, lambda_s"),
+        ("thesis", "controller.parameters.kpp: unknown; known: none"),
+    ],
+)
+def test_a_shipped_controller_refuses_a_parameter_it_never_reads(kind: str, line: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        refuse(of(kind, "controller.parameters.kpp=3"))
+    assert str(caught.value) == line
 
 
 def test_limits_and_missing_inputs_are_the_nodes(own: Path) -> None:
@@ -333,6 +378,13 @@ def test_a_controller_that_is_not_linear_has_no_margins(own: Path) -> None:
     with pytest.raises(RigError, match="has no margins: its answers around rest are not linear"):
         check_stability(of("relay:Relay"))
     refuse(of("relay:Relay"))  # runs all the same
+
+
+def test_the_steps_of_a_sensor_are_not_too_coarse_for_a_loop_that_a_loss_opens() -> None:
+    """Noise walks an open integrator away without end, whatever the step of the frame."""
+    margins = check_stability(of("pi"))
+    assert np.isinf(margins.faulted.noise_to_command_1)
+    assert list(margins.network_notes) == []
 
 
 def test_an_unstable_loop_is_refused() -> None:

@@ -146,7 +146,7 @@ REFUSED: list[tuple[dict[Any, Any], str]] = [
     ({"plant": control.tf(NUM, DEN)}, r"plant: 1 input\(s\) and 1 output\(s\): must be two"),
     ({"plant": control.tf([[NUM, NUM]], [[DEN, DEN]], 0.1)}, "plant: .*sampled already"),
     ({"plant": control.ss([[-1.0]], [[1.0]], [[1.0]], 0.0)}, "plant: a state space with B"),
-    ({"plant.g1": SAMPLED["dlti"]}, "plant.g1.domain: unknown key"),
+    ({"plant.g1": SAMPLED["dlti"]}, "plant.g1: a system sampled already"),
     ({"plant.g1": object()}, "plant.g1 = <object"),
 ]  # fmt: skip
 

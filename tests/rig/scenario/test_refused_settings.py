@@ -107,6 +107,9 @@ DEFAULT = {
     ("plant.torque_actuator.lag=0.01",): "did you mean lag_s?",
     ("plant.parameters.x=[1]", "plant.kind=a:B"):
         "plant.parameters.x = [1]: must be a number, a text, true or false",
+    ("plant.parameters.x=nan", "plant.kind=a:B"): "plant.parameters.x = nan: must be a finite",
+    ("controller.parameters.x=-inf", "controller.kind=pi"):
+        "controller.parameters.x = -inf: must be a finite number",
     ("plant.parameters.x=1",): "plant.parameters.x = 1: must not be set for kind",
 }  # fmt: skip
 SS = "plant={kind='state-space', "

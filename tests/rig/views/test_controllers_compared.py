@@ -59,7 +59,7 @@ def test_a_run_that_fails_is_a_line_and_the_others_go_on() -> None:
     done = asked(
         "compare", "pi", "no_such_module:C", "--set", "duration_s=0.2", "--case", "a:seed=1"
     )
-    assert done.returncode == 0
+    assert done.returncode == 1
     assert "failed" in done.stdout
     assert "no_such_module:C: controller.kind = 'no_such_module:C': no module" in " ".join(
         done.stdout.split()
