@@ -12,7 +12,6 @@
 #include "real.h"
 
 #define FRAME_BYTES {frame_bytes}u /* the most that a frame has */
-
 //: if extended
 #define FRAME_EXTENDED 0x80000000u /* in an identifier of 29 bits */
 //: end
