@@ -206,6 +206,8 @@ class _Names:
                 f"{here}: must be an input of the FMU, not {_a(variable.causality)}; it has "
                 f"{self._some('input')}"
             )
+        if is_output and variable.causality == "input":
+            raise ScenarioError(f"{here}: must be an output of the FMU, not an input")
         if is_input and variable.name in flat_parameters(self._request.parameters):
             raise ScenarioError(f"{here}: must not stand in {self._request.table}.parameters too")
         is_real = (is_input or is_output) and key not in self._request.codes

@@ -11,10 +11,10 @@ import numpy as np
 from can_rig.drawing.names import HOW, Names, names_of, with_unit
 from can_rig.frames import operator_frames
 from can_rig.frames.network import Network
-from can_rig.plant.faults.injection import key_of, kinds_of
+from can_rig.plant.faults.injection import kinds_of
 from can_rig.results.curves import charts_of, curves_of
 from can_rig.results.motion import dead_of, setting_of
-from can_rig.scenario.fault_settings import CHANNELS, PLACES, SENSOR, SWAPPED
+from can_rig.scenario.fault_settings import CHANNELS, PLACES, SENSOR, SWAPPED, key_of
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 

@@ -91,6 +91,15 @@ OF_FURTHER_SENSORS: Final = (*OF_ECHOES, "sensor-invalid", "sensor-tick-stuck", 
 """Kinds of a sensor whose frame says the validity and the tick of the sample."""
 
 
+def key_of(kind: str, place: str) -> str:
+    """The key of the number of a fault; empty: the fault has none."""
+    if kind == SWAPPED:
+        return "other"
+    if kind == "sensor-biased" and place in MEASURED:
+        return "offset"
+    return NUMBER.get(kind, "")
+
+
 @dataclass(frozen=True, config=STRICT)
 class FaultSettings:
     """One fault from ``at_s`` on, endless or for ``for_s`` seconds, at every ``every``-th tick.

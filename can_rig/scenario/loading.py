@@ -25,7 +25,7 @@ from can_rig.errors import ScenarioError
 from can_rig.scenario import shipped
 from can_rig.scenario.controller_settings import LIBRARY
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
-from can_rig.scenario.fault_settings import NUMBER, FaultSettings
+from can_rig.scenario.fault_settings import NUMBER, FaultSettings, key_of
 from can_rig.scenario.plant_settings import (
     CAR,
     FACTORED,
@@ -194,7 +194,7 @@ def require_own_numbers(name: str, faults: Any) -> None:
     """
     for where, fault in _faults(faults):
         kind = fault.get("kind")
-        own = NUMBER.get(kind) if isinstance(kind, str) else None
+        own = key_of(kind, fault.get("channel", "")) if isinstance(kind, str) else ""
         for key in sorted(UNSET & fault.keys()) if own and own not in fault else ():
             raise ScenarioError(
                 f"scenario {name}: {where}.{key} = {fault[key]!r}: has no effect for {kind!r}; "

@@ -181,8 +181,8 @@ def compare(
     Raises:
         ScenarioError: a scenario or a case that does not load.
     """
-    if not controllers:
-        raise ScenarioError("compare: must have a controller at least")
+    if not (controllers and cases):
+        raise ScenarioError("compare: must have a controller and a case at least")
     rows: list[Compared] = []
     errors: dict[tuple[str, str], tuple[FloatArray, FloatArray]] = {}
     for case, changes in cases.items():

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.frame_length import worst_case_bits
+from can_rig.errors import LogError
 from can_rig.frames.foreign_frames import FD_LENGTHS
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
@@ -176,6 +177,8 @@ class LogStatistics:
 
         Seconds without frames are left out.
         """
+        if bus not in self._busy:
+            raise LogError(f"bus = {bus!r}: must be one of {', '.join(self.buses) or 'none'}")
         busy = sorted(self._busy[bus].items())
         return np.array([s for s, _ in busy], np.int64), np.array([share for _, share in busy])
 

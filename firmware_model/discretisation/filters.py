@@ -590,13 +590,12 @@ def _c_function(
 ) -> Callable[[FloatArray, float], FloatArray]:
     """(state, u) → the next state and the answer, shape (states + 1,)."""
     real = ctypes.c_float if precision == "float32" else ctypes.c_double
-    try:
-        address = ctypes.cast(cast(ctypes.c_void_p, function), ctypes.c_void_p).value
-    except ctypes.ArgumentError:
+    if not hasattr(function, "argtypes"):
         raise ParameterError(
             f"function is a {type(function).__name__}: must be a function of a library that "
             'ctypes loaded, ctypes.CDLL("./filter.so").step'
-        ) from None
+        )
+    address = ctypes.cast(cast(ctypes.c_void_p, function), ctypes.c_void_p).value
     compiled_step = ctypes.CFUNCTYPE(real, ctypes.POINTER(real), real)(address or 0)
 
     def call(state: FloatArray, u: float) -> FloatArray:

@@ -136,7 +136,10 @@ def continuous(system: object) -> ZeroPoleGain | Polynomials | StateSpace:
     if hasattr(known, "gain") and hasattr(known, "poles"):
         if np.ndim(known.gain):
             _refuse_several(1, np.size(known.gain))
-        return ZeroPoleGain(_paired(known.zeros), _paired(known.poles), float(known.gain))
+        gain = complex(known.gain)
+        if gain.imag or not cmath.isfinite(gain):
+            raise ParameterError(f"gain = {known.gain}: must be real and finite")
+        return ZeroPoleGain(_paired(known.zeros), _paired(known.poles), gain.real)
     if hasattr(known, "num") and hasattr(known, "den"):
         num, den = known.num, known.den
         if hasattr(known, "ninputs"):  # python-control: a matrix of rows
@@ -189,14 +192,16 @@ def _paired(roots: Iterable[complex]) -> tuple[complex, ...]:
         ParameterError: a complex root without its conjugate.
     """
     values = [complex(root) for root in roots]
+    if not all(map(cmath.isfinite, values)):
+        raise ParameterError("zeros, poles: every root must be finite")
     real = [complex(r.real) for r in values if abs(r.imag) <= ROUNDING * abs(r)]
     upper = [r for r in values if r.imag > ROUNDING * abs(r)]
     lower = [r for r in values if r.imag < -ROUNDING * abs(r)]
     for root in upper:
         partner = min(lower, key=lambda r: abs(r.conjugate() - root), default=0j)
         if abs(partner.conjugate() - root) > ROUNDING * abs(root):
-            raise ParameterError(f"a root at {root:g} rad/s: its conjugate is missing")
+            raise ParameterError(f"a root at {root:g}: its conjugate is missing")
         lower.remove(partner)
     if lower:
-        raise ParameterError(f"a root at {lower[0]:g} rad/s: its conjugate is missing")
+        raise ParameterError(f"a root at {lower[0]:g}: its conjugate is missing")
     return (*real, *upper, *(root.conjugate() for root in upper))

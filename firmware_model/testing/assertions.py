@@ -57,7 +57,7 @@ def assert_follows(
         rad_per_s: frequencies below π/T, shape (m,); left out: 200 up to 0.95 of that.
         within: relative error that is allowed; left out: a bound from the coefficients.
     """
-    _require_filter(filter)
+    _require_filter(filter, within)
     if rule not in RULE_NAMES:
         raise ParameterError(f"rule = {rule!r}: must be one of {', '.join(RULE_NAMES)}")
     if not isinstance(tick_s, Real) or not 0.0 < tick_s < math.inf:
@@ -140,7 +140,7 @@ def assert_dc_gain(
         expected: the gain, or a continuous filter with the gain.
         within: relative error that is allowed; left out: a bound from the number of sections.
     """
-    _require_filter(filter)
+    _require_filter(filter, within)
     gain = float(expected) if isinstance(expected, Real) else zero_pole_gain(expected).dc_gain
     if within is None:
         roundings: float = ROUNDINGS * 2 * len(filter.sections.coefficients)
@@ -191,7 +191,7 @@ def assert_step(
         ticks: duration.
         within: error that is allowed, as a share of the largest answer.
     """
-    _require_filter(filter)
+    _require_filter(filter, within)
     if not isinstance(ticks, Integral) or ticks < 1:
         raise ParameterError(f"ticks = {ticks!r}: must be a whole number of at least 1")
     if rule is None and filter.rule is None:
@@ -253,11 +253,13 @@ def assert_bit_identical(filter: Filter, u: ArrayLike | None = None) -> None:
         assert same, f"at tick {k} compiled answers {answers[k]!r}, interpreted {answer!r}"
 
 
-def _require_filter(filter: object) -> None:
+def _require_filter(filter: object, within: float | None = None) -> None:
     if not isinstance(filter, Filter):
         raise ParameterError(
             f"filter must be a Filter, of discretise or Filter.from_…; not {type(filter).__name__}"
         )
+    if within is not None and not 0.0 <= within < math.inf:
+        raise ParameterError(f"within = {within!r}: must be 0 or above, and finite")
 
 
 def _below_nyquist(rad_per_s: ArrayLike, tick_s: float) -> FloatArray:

@@ -365,9 +365,22 @@ def test_a_c_function_that_is_no_filter_is_refused(library: ctypes.CDLL, kind: s
         Filter.from_c(getattr(library, name), states=states, tick_s=TICK_S)
 
 
-def test_a_function_of_python_is_no_c_function() -> None:
+@pytest.mark.parametrize("function", [abs, None, b"step"])
+def test_a_function_of_python_is_no_c_function(function: object) -> None:
     with pytest.raises(ParameterError, match=r"function is a .*: must be a function of a library"):
-        Filter.from_c(abs, states=1, tick_s=TICK_S)
+        Filter.from_c(function, states=1, tick_s=TICK_S)
+
+
+@pytest.mark.parametrize("within", [math.nan, math.inf, -1e-3])
+def test_a_deviation_that_allows_everything_or_nothing_is_refused(within: float) -> None:
+    other, made = ([90.0], [1.0, 100.0]), discretise(([100.0], [1.0, 100.0]), TICK_S)
+    for compare in (
+        lambda: testing.assert_follows(made, other, tick_s=TICK_S, rule="tustin", within=within),
+        lambda: testing.assert_dc_gain(made, other, within=within),
+        lambda: testing.assert_step(made, other, within=within),
+    ):
+        with pytest.raises(ParameterError, match=r"within = .*: must be 0 or above, and finite"):
+            compare()
 
 
 def test_a_bound_of_its_own_sees_what_one_for_all_let_pass() -> None:

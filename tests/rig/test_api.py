@@ -275,6 +275,7 @@ def test_a_check_has_one_type() -> None:
 
 
 STEERING = DBC / "steer_by_wire.dbc"
+DRIVE = Path(__file__).parents[1] / "drives" / "ideal.log.gz"
 SPEED = {"plant.speed_mps": 8.0}
 ANY: Any = can_rig
 """Called with arguments of wrong types too."""
@@ -313,6 +314,8 @@ REFUSED: list[tuple[Callable[[], Any], type[errors.RigError], str]] = [
     (lambda: ANY.compare("pi"), errors.ScenarioError, "controllers = 'pi': must be a list"),
     (lambda: ANY.campaign("loses"), errors.ScenarioError, "did you mean losses"),
     (lambda: ANY.save_scenario("default", "x.toml"), errors.ScenarioError, "must be a Scenario"),
+    (lambda: ANY.compare(["pi"], cases={}), errors.ScenarioError, "a controller and a case"),
+    (lambda: ANY.stats(DRIVE).load("x"), errors.LogError, "bus = 'x': must be one of "),
     (lambda: ANY.compare([3]), errors.ScenarioError, "controllers = 3: must be a text, a class"),
 ]  # fmt: skip
 

@@ -20,12 +20,12 @@ from can_rig.frames.operator_frames import (
 from can_rig.scenario.fault_settings import (
     CHANNELS,
     MAX_LATE_TICKS,
-    NUMBER,
     OF_ECHOES,
     OF_FURTHER_SENSORS,
     SENSOR,
     SWAPPED,
     FaultSettings,
+    key_of,
 )
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.sensor_settings import ECHOES, MEASURED
@@ -86,15 +86,6 @@ def kinds_of(place: str) -> tuple[str, ...]:
         return tuple(each for each in kinds() if not each.startswith("sensor-"))
     never = () if place in ECHOES else OF_ECHOES if place in MEASURED else OF_FURTHER_SENSORS
     return tuple(each for each in kinds() if not each.startswith("actuator-") and each not in never)
-
-
-def key_of(kind: str, place: str) -> str:
-    """The key of the number of a fault; empty: the fault has none."""
-    if kind == SWAPPED:
-        return "other"
-    if kind == "sensor-biased" and place in MEASURED:
-        return "offset"
-    return NUMBER.get(kind, "")
 
 
 def _fault(command: Command, at_s: float) -> FaultSettings:

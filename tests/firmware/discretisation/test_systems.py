@@ -106,13 +106,21 @@ REFUSED: dict[str, tuple[Any, str]] = {
         signal.StateSpace([[-np.inf]], [[1.0]], [[1.0]], [[0.0]]),
         "A, B, C, D: every number must be finite",
     ),
+    "roots that are not finite": (
+        SimpleNamespace(zeros=[], poles=[np.nan], gain=1.0),
+        "zeros, poles: every root must be finite",
+    ),
+    "a gain that is not real": (
+        SimpleNamespace(zeros=[], poles=[-1.0], gain=1j),
+        "gain = 1j: must be real and finite",
+    ),
     "a zero without its conjugate": (
         signal.ZerosPolesGain([1 + 1j], [-1.0, -2.0], 1.0),
-        r"1\+1j rad/s: its conjugate is missing",
+        r"1\+1j: its conjugate is missing",
     ),
     "a pole without its conjugate": (
         signal.ZerosPolesGain([], [-1 - 1j], 1.0),
-        r"-1-1j rad/s: its conjugate is missing",
+        r"-1-1j: its conjugate is missing",
     ),
 }
 

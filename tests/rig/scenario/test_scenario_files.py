@@ -41,6 +41,10 @@ def test_a_file_that_cannot_be_read():
             '[fault]\nkind = "sensor-biased"\nvalue = 0.5\n',
             "fault.value = 0.5: has no effect for 'sensor-biased'; must be fault.bias_mps2",
         ),
+        (
+            '[fault]\nkind = "sensor-biased"\nchannel = "yaw-rate"\nvalue = 0.5\n',
+            "fault.value = 0.5: has no effect for 'sensor-biased'; must be fault.offset",
+        ),
         ('[[fault]]\nkind = "actuator-dead"\nvalue = 0.5\n', "must be fault.0.left"),
         ('[reference]\nkind = "csv"\nfile = ""\n', "reference.file: must name the CSV file"),
     ],
@@ -56,3 +60,11 @@ def test_a_csv_is_found_beside_its_scenario_or_from_where_one_is(tmp_path):
     assert load(str(tmp_path / "x.toml")).reference.file == str(tmp_path / "r.csv")
     scenario = load(str(tmp_path / "x.toml"), ["reference.file=here.csv"])
     assert scenario.reference.file == "here.csv"
+
+
+def test_a_biased_further_sensor_reads_too_much_by_the_offset_in_the_file(tmp_path):
+    (tmp_path / "mine.toml").write_text(
+        '[[fault]]\nkind = "sensor-biased"\nchannel = "yaw-rate"\noffset = 0.05\n'
+        '[[sensor]]\nmeasures = "yaw-rate"\n'
+    )
+    assert load(str(tmp_path / "mine.toml")).faults[0].bias == 0.05
