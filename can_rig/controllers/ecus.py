@@ -16,28 +16,37 @@ from typing import Final, Protocol
 
 from can_rig.controllers.protocol import COUNTS, Sent
 from can_rig.errors import ExportError, require
-from can_rig.export.application import IDENTITY_BYTES, application, bench
+from can_rig.export.application import (
+    IDENTITY_BYTES,
+    ORDER_HEAD,
+    SENT_HEAD,
+    application,
+    bench,
+)
 from can_rig.export.boards import (
     COUNT,
     EMULATOR,
-    ORDER_BYTES,
     RESTART,
     SURVIVE,
     emulation,
     frame_order,
+    order,
 )
 from can_rig.export.compiler import host_compiler, loaded, shared_library
 from can_rig.frames.codec import FRAME_BYTES
 from can_rig.scenario.settings import Scenario
 
-SENT_BYTES: Final = 2 + FRAME_BYTES
 MOST_SENT: Final = 3
 
 
-def sent(memory: bytes, n: int) -> Sent:
-    """The first ``n`` frames that the harness has written."""
-    frames = (memory[i * SENT_BYTES : (i + 1) * SENT_BYTES] for i in range(n))
-    return [(int.from_bytes(frame[:2], "little"), frame[2:]) for frame in frames]
+def sent(memory: bytes, n: int, room: int) -> Sent:
+    """The first ``n`` frames that the harness has written, each with ``room`` for its data."""
+    size = SENT_HEAD + room
+    frames = (memory[i * size : (i + 1) * size] for i in range(n))
+    return [
+        (int.from_bytes(each[:4], "little"), each[SENT_HEAD : SENT_HEAD + each[4]])
+        for each in frames
+    ]
 
 
 # --- in this process -----------------------------------------------------------------------------
@@ -59,19 +68,21 @@ class HostEcu:
 
     Args:
         library: of ``host_library``.
+        room: bytes of its longest frame; see ``frame_bytes``.
 
     Raises:
         ExportError: loading fails.
     """
 
-    def __init__(self, library: Path) -> None:
+    def __init__(self, library: Path, room: int = FRAME_BYTES) -> None:
         code = loaded(library)
         code.harness_size.restype = ctypes.c_size_t
         self._frame, self._counts = code.harness_frame, code.harness_counts
         self._frame.restype = ctypes.c_uint8
         self._receivers = int(code.harness_receivers())
         self._memory = ctypes.create_string_buffer(code.harness_size())
-        self._sent = ctypes.create_string_buffer(MOST_SENT * SENT_BYTES)
+        self._sent = ctypes.create_string_buffer(MOST_SENT * (SENT_HEAD + room))
+        self._room = room
         self._restart = code.harness_restart
         self._restart.restype = ctypes.c_bool
         self.restart()
@@ -87,7 +98,7 @@ class HostEcu:
     def take(self, frame_id: int, data: bytes) -> Sent:
         """See ``Ecu``."""
         n = self._frame(self._memory, frame_id, len(data), data, self._sent)
-        return sent(self._sent.raw, n)
+        return sent(self._sent.raw, n, self._room)
 
     def counts(self) -> list[int]:
         """See ``Ecu``."""
@@ -125,34 +136,35 @@ class BenchEcu:
     Args:
         link: the link to the program.
         receivers: number of received frames: 2, or 3 with the speed.
+        room: bytes of its longest frame; see ``frame_bytes``.
     """
 
-    def __init__(self, link: Link, receivers: int = 2) -> None:
-        self._link = link
+    def __init__(self, link: Link, receivers: int = 2, room: int = FRAME_BYTES) -> None:
+        self._link, self._room = link, room
         self._receivers = receivers
 
     def restart(self, state_survives: bool = False) -> bytes:
         """See ``Ecu``; returns the controller's identity, 8 bytes."""
-        return self._ask(SURVIVE if state_survives else RESTART, IDENTITY_BYTES)
+        return self._ask(order(SURVIVE if state_survives else RESTART, self._room), IDENTITY_BYTES)
 
     def take(self, frame_id: int, data: bytes) -> Sent:
         """See ``Ecu``."""
-        (n,) = self._ask(frame_order(frame_id, data), 1)
+        (n,) = self._ask(frame_order(frame_id, data, self._room), 1)
         if n > MOST_SENT:
             raise ExportError(f"the controller says that it sent {n} frames: must be 0 to 3")
-        return sent(self._link.read(n * SENT_BYTES), n)
+        return sent(self._link.read(n * (SENT_HEAD + self._room)), n, self._room)
 
     def counts(self) -> list[int]:
         """See ``Ecu``."""
-        answer = self._ask(COUNT, 4 * self._receivers * COUNTS)
+        answer = self._ask(order(COUNT, self._room), 4 * self._receivers * COUNTS)
         return [int.from_bytes(answer[i : i + 4], "little") for i in range(0, len(answer), 4)]
 
     def close(self) -> None:
         """See ``Ecu``."""
         self._link.close()
 
-    def _ask(self, order: bytes, size: int) -> bytes:
-        self._link.write(order)
+    def _ask(self, said: bytes, size: int) -> bytes:
+        self._link.write(said)
         return self._link.read(size)
 
 
@@ -227,13 +239,14 @@ class SerialLink:
 
     Args:
         port: its device.
+        room: bytes of the longest frame of the board's node.
 
     Raises:
         ExportError: opening fails.
         MissingExtraError: pyserial is not installed.
     """
 
-    def __init__(self, port: str) -> None:
+    def __init__(self, port: str, room: int = FRAME_BYTES) -> None:
         require("serial", extra="serial")
         import serial  # noqa: PLC0415
 
@@ -243,11 +256,11 @@ class SerialLink:
             self._port = serial.Serial(port, BAUD, exclusive=True)
         except (OSError, ValueError) as error:
             raise ExportError(f"{port}: cannot be opened as a serial port: {error}") from None
-        self.forget()
+        self.forget(ORDER_HEAD + room)
 
-    def forget(self) -> None:
+    def forget(self, longest: int) -> None:
         """End an interrupted order, and discard the rest of the last answer."""
-        self.write(bytes(ORDER_BYTES))
+        self.write(bytes(longest))
         self._port.timeout = QUIET_S
         while self._port.read(1 << 12):
             pass
@@ -278,7 +291,9 @@ class SerialLink:
         self._port.close()
 
 
-def serial_ecu(port: str, identity: bytes, scenario: str, receivers: int = 2) -> BenchEcu:
+def serial_ecu(
+    port: str, identity: bytes, scenario: str, receivers: int = 2, room: int = FRAME_BYTES
+) -> BenchEcu:
     """The controller node on the board at ``port``, started again.
 
     Args:
@@ -286,12 +301,13 @@ def serial_ecu(port: str, identity: bytes, scenario: str, receivers: int = 2) ->
         identity: of the required controller.
         scenario: its name.
         receivers: see ``BenchEcu``.
+        room: likewise.
 
     Raises:
         ExportError: no such port, no answer, or another controller on the board.
         MissingExtraError: pyserial is not installed.
     """
-    ecu = BenchEcu(SerialLink(port), receivers)
+    ecu = BenchEcu(SerialLink(port, room), receivers, room)
     if ecu.restart() != identity:
         ecu.close()
         raise ExportError(

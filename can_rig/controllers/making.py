@@ -20,6 +20,7 @@ from can_rig.controllers.setup import ControllerSetup
 from can_rig.errors import ExportError, require
 from can_rig.export.application import application, identity
 from can_rig.export.boards import firmware_image
+from can_rig.export.network_code import frame_bytes
 from can_rig.frames.network import Network
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controller_settings import FILTERS
@@ -78,14 +79,15 @@ def controller_of(name: str, scenario: Scenario) -> Supplied:
         return in_node(
             CompiledLaw(scenario.design.precision, changes_speed=scenario.drive.is_given)
         )
+    network = network_of(scenario)
+    receivers, room = network.offered, frame_bytes(network)
     if name == "ecu":
         library = host_library(scenario)
-        return WholeNode(lambda: HostEcu(library))
-    receivers = network_of(scenario).offered
+        return WholeNode(lambda: HostEcu(library, room))
     if name.startswith(SERIAL):
         expected = identity(application(scenario))
         port = name.removeprefix(SERIAL)
-        return WholeNode(lambda: serial_ecu(port, expected, scenario.name, receivers))
+        return WholeNode(lambda: serial_ecu(port, expected, scenario.name, receivers, room))
     board = name.removeprefix("arm:")
     image = firmware_image(scenario, board)
-    return WholeNode(lambda: BenchEcu(EmulatedBoard(image, board), receivers))
+    return WholeNode(lambda: BenchEcu(EmulatedBoard(image, board), receivers, room))

@@ -169,6 +169,8 @@ class Ecu(Protocol):
     def take(self, frame_id: int, data: bytes) -> Sent:
         """Deliver a frame; returns the sent frames: none unless the frame completes a tick.
 
+        Identifiers have the flags of ``flagged``.
+
         Raises:
             ExportError: the node has ended.
         """

@@ -6,23 +6,19 @@ import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Final
 
-from can_rig.drawing.names import Signal, names_of
-from can_rig.errors import ExportError
-from can_rig.export.c_files import comment, constants_files, plain
+from can_rig.drawing.names import names_of
+from can_rig.export.c_files import constants_files, plain
 from can_rig.export.law import HEARS, SENSORS, SINGLE, law_files, numbers_of, parts_of, support
+from can_rig.export.network_code import NetworkCode, sensors_of, signal_comment
 from can_rig.export.prefix import with_prefix
-from can_rig.export.provenance import with_provenance
+from can_rig.export.provenance import as_bytes, with_provenance
 from can_rig.export.self_test import DATA, self_test_data
 from can_rig.folders import Kind, refuse_folder, whole_folder
-from can_rig.frames.codec import MessageCodec, RigLayout
-from can_rig.frames.network import Network
-from can_rig.scenario.build import dbc_of, network_of, require_ours
+from can_rig.scenario.build import network_of, require_ours
 from can_rig.scenario.controls import controls
-from can_rig.scenario.sensor_settings import HEARD
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import Precision
 
@@ -38,6 +34,8 @@ BUILD_FILES: Final = ("Makefile", "CMakeLists.txt", "main.c", "bench_main.c", "c
 EVIDENCE: Final = ("evidence.json", "evidence.html")
 """Files beside the export, about it; an export without them removes those of an earlier one."""
 IDENTITY_BYTES: Final = 8
+ORDER_HEAD, SENT_HEAD = 6, 5
+"""Bytes before the data of a frame, in an order of the bench and in an answer."""
 
 
 def application(scenario: Scenario) -> dict[str, str]:
@@ -45,45 +43,40 @@ def application(scenario: Scenario) -> dict[str, str]:
 
     Raises:
         ScenarioError: the design fails.
-        ExportError: the law uses syntax outside the C subset, or the frames come from another
-            database.
+        ExportError: the law uses syntax outside the C subset, or a signal cannot be exported.
     """
     require_ours(scenario, "the control law as C")
     network = network_of(scenario)
-    if not network.is_the_rigs:
-        raise ExportError(
-            f"network.dbc = {scenario.network.dbc!r}: must be left out, for the ECU in C has the "
-            "rig's own frames; run --controller c runs the law in C on yours"
-        )
+    code = NetworkCode(scenario, network)
     of, names = controls(scenario, network), names_of(scenario.plant)
     limits, precision = scenario.limits, scenario.design.precision
     title = f"The constants of the controller of scenario {scenario.name}."
     law = law_files(precision, of.schedule is not None)
-    parts = {*parts_of(law), *((HEARS,) if network.speed else ())}
-    sensors = _sensors(scenario, network)
+    parts = {*parts_of(law), *((HEARS,) if network.speed else ()), *code.parts}
+    sensors = sensors_of(scenario, network)
     parts |= {SENSORS} if sensors else set()
     parts |= {SINGLE} if precision == "float32" else set()
     header = support(
         HEADER,
         parts,
-        speed=_signal(network.speed) if network.speed else "",
+        speed=signal_comment(network.speed) if network.speed else "",
         scenario=plain(scenario.name),
         tick=f"{scenario.tick_s * 1e3:g} ms",
         latency=_latency(scenario),
-        command_1=_signal(network.command_1, names.command_1, limits.torque_nm),
-        command_2=_signal(network.command_2, names.command_2, limits.force_difference_n),
-        estimate=_signal(network.status, names.output._replace(name="")),
-        reference=_signal(network.reference, names.output._replace(name="")),
-        measurement=_signal(network.feedback, names.output),
+        command_1=signal_comment(network.command_1, names.command_1, limits.torque_nm),
+        command_2=signal_comment(network.command_2, names.command_2, limits.force_difference_n),
+        estimate=signal_comment(network.status, names.output._replace(name="")),
+        reference=signal_comment(network.reference, names.output._replace(name="")),
+        measurement=signal_comment(network.feedback, names.output),
     )
-    texts = {**numbers_of(precision), "sensors": str(len(sensors))}
+    texts = {**numbers_of(precision), **code.texts}
     return {
         **law,
         **constants_files(of.table, title, of.schedule),
         HEADER: header,
         **{name: support(name, parts, **texts) for name in BY_HAND},
         DATA: self_test_data(of, scenario.reference.amplitude_mps2 or 1.0, bool(sensors)),
-        "network.c": _network_source(network, scenario),
+        "network.c": code.source(),
     }
 
 
@@ -94,7 +87,9 @@ def bench(node: Mapping[str, str]) -> dict[str, str]:
         node: of ``application``.
     """
     numbers = ", ".join(f"0x{byte:02X}" for byte in identity(node))
-    return {name: support(name, _parts(node), identity=numbers) for name in BENCH}
+    (room,) = re.findall(r"#define FRAME_BYTES (\d+)u", node["frames.h"])
+    sizes = {"order_bytes": str(ORDER_HEAD + int(room)), "sent_bytes": str(SENT_HEAD + int(room))}
+    return {name: support(name, _parts(node), identity=numbers, **sizes) for name in BENCH}
 
 
 def identity(node: Mapping[str, str]) -> bytes:
@@ -145,84 +140,12 @@ def write(texts: dict[str, str], folder: Path, force: bool) -> None:
     refuse_folder(folder, kind, force)
     with whole_folder(folder, kind, force=force) as made:
         for name, text in texts.items():
-            (made / name).write_text(text, encoding="utf-8")
+            (made / name).write_bytes(as_bytes(text))
 
 
 def _parts(node: Mapping[str, str]) -> set[str]:
     """Parts of handwritten files that go with the files of an application."""
     return {*parts_of(node), *((HEARS,) if "frame_speed" in node["frames.h"] else ())}
-
-
-def _network_source(network: Network, scenario: Scenario) -> str:
-    """``network.c``: the DBC's properties of each frame, and the period."""
-    lines = [*comment(f"The frames of {dbc_of(scenario).name}."), '#include "ecu.h"', ""]
-    lines.append(f"const uint32_t ecu_tick_us = {round(scenario.tick_s * 1e6)};")
-    for codec in network.by_role:
-        lines += ["", *comment(f"{codec.name}: {_signal(codec)}")]
-        lines += [f"const struct frame frame_{codec.role} = {{", *_numbers(codec), "};"]
-    if sensors := _sensors(scenario, network):
-        lines += ["", "const struct ecu_sensor_frame ecu_sensors[ECU_SENSORS] = {"]
-        for number, codec, (period, phase, _) in sensors:
-            lines += [f"    {each}" for each in comment(f"{codec.name}: {_signal(codec)}")]
-            lines += [
-                "    {",
-                "        .frame = {",
-                *(f"        {each}" for each in _numbers(codec)),
-            ]
-            lines.append("        },")
-            lines.append(f"        .number = {number}, .period = {period}u, .phase = {phase}u,")
-            lines.append("    },")
-        lines.append("};")
-    return "\n".join(lines) + "\n"
-
-
-def _sensors(
-    scenario: Scenario, network: Network
-) -> list[tuple[int, MessageCodec, tuple[int, int, int]]]:
-    """Number, frame and timing of each sensor that the law hears."""
-    return [
-        (HEARD.index(sensor.measures) + 1, codec, sensor.timing(scenario.tick_s))
-        for sensor, codec in zip(scenario.sensors, network.witnesses, strict=True)
-        if sensor.measures in scenario.heard
-    ]
-
-
-def _numbers(codec: MessageCodec) -> list[str]:
-    """The initialisers of a ``struct frame``."""
-    numbers = {
-        "id": f"0x{codec.frame_id:X}",
-        "data_id": f"0x{codec.data_id:X}",
-        "lsb": repr(codec.lsb),
-        "steps_per_unit": f"{_steps_per_unit(codec)}u",
-        "raw_maximum": str(codec.raw_maximum),
-    }
-    if codec.modes and isinstance(codec.layout, RigLayout):
-        numbers["mode_shift"], numbers["fault_state_shift"] = map(str, codec.layout.shifts)
-        numbers["verdict_bits"] = str(codec.layout.verdict_bits)
-    return [f"    .{name} = {value}," for name, value in numbers.items()]
-
-
-def _steps_per_unit(codec: MessageCodec) -> int:
-    """1/lsb, which frames of a DBC of the rig have as a whole number, with a range around zero."""
-    steps = 1 / Fraction(repr(codec.lsb))
-    assert steps.denominator == 1 and steps < 1 << 27 and codec.raw_maximum < 2**23 * steps
-    assert codec.raw_minimum == -codec.raw_maximum
-    return int(steps)
-
-
-def _signal(codec: MessageCodec, signal: Signal | None = None, limit: float | None = None) -> str:
-    """Unit, meaning and range of a frame's only signal, for the plant.
-
-    ``limit`` bounds a command, though the frame could express more.
-    """
-    unit, name = codec.unit, codec.signal_name
-    if signal is not None:
-        unit = signal.unit
-        name = f"{signal.name} ({name})" if signal.name else name
-    most = codec.maximum if limit is None else min(limit, codec.maximum)
-    least = codec.minimum if limit is None else max(-limit, codec.minimum)
-    said = f"[{unit}] {name}" if unit else name
-    return plain(f"{said}, {least:.10g}..{most:.10g}, steps of {codec.lsb:g}")
 
 
 def _latency(scenario: Scenario) -> str:

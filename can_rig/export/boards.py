@@ -14,32 +14,29 @@ from pathlib import Path
 from typing import Final
 
 from can_rig.errors import ExportError
-from can_rig.export.application import application, bench
+from can_rig.export.application import ORDER_HEAD, application, bench
 from can_rig.export.compiler import built
 from can_rig.export.law import numbers_of, parts_of, support
 from can_rig.scenario.settings import Scenario
 
-ORDER_BYTES: Final = 12
+RESTART, SURVIVE, COUNT = b"R", b"R\x01", b"C"
+"""Orders of the bench, which ``order`` makes as long as any."""
 
 
-def order(letter: bytes, *parts: bytes) -> bytes:
-    """An order with its operands."""
-    return b"".join((letter, *parts)).ljust(ORDER_BYTES, b"\0")
+def order(begin: bytes, room: int) -> bytes:
+    """An order to a node whose longest frame has ``room`` bytes."""
+    return begin.ljust(ORDER_HEAD + room, b"\0")
 
 
-def frame_order(frame_id: int, data: bytes) -> bytes:
-    """The order to take a frame."""
-    return order(b"F", frame_id.to_bytes(2, "little"), bytes([len(data)]), data)
+def frame_order(frame_id: int, data: bytes, room: int) -> bytes:
+    """The order to take a frame; the node reads no byte beyond ``room``."""
+    said = b"F" + frame_id.to_bytes(4, "little") + bytes([len(data)]) + data[:room]
+    return order(said, room)
 
 
-def time_order(now_us: int) -> bytes:
+def time_order(now_us: int, room: int) -> bytes:
     """The order that sets the clock, modulo 2^32."""
-    return order(b"T", (now_us & 0xFFFFFFFF).to_bytes(4, "little"))
-
-
-RESTART: Final = order(b"R")
-SURVIVE: Final = order(b"R\x01")
-COUNT: Final = order(b"C")
+    return order(b"T" + (now_us & 0xFFFFFFFF).to_bytes(4, "little"), room)
 
 
 COMPILER: Final = "arm-none-eabi-gcc"

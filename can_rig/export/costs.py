@@ -22,7 +22,10 @@ import numpy as np
 from can_rig.export.boards import BOARDS, COMPILER, FLAGS, emulated, image_of
 from can_rig.export.compiler import placed, run, shared_library
 from can_rig.export.law import CHANGE_SPEED, law_program, speed_program, support
+from can_rig.export.network_code import frame_bytes
 from can_rig.export.subset import Program
+from can_rig.frames.codec import FRAME_BYTES, Transmitter
+from can_rig.frames.network import Network
 from firmware_model.law.structs import FloatArray, Precision
 
 BOARDS_OF: Final[dict[Precision, tuple[str, ...]]] = {"float32": ("m4f", "m7"), "float64": ("m7",)}
@@ -52,14 +55,23 @@ def law_of(node: Mapping[str, str]) -> dict[str, str]:
     return {name: text for name, text in node.items() if name not in NO_LAW}
 
 
-def instructions(files: Mapping[str, str], board: str, inputs: FloatArray) -> FloatArray:
+def instructions(
+    files: Mapping[str, str], board: str, inputs: FloatArray, network: Network | None = None
+) -> FloatArray:
     """How many each tick takes, shape (ticks,): of the law, or of the node in ``files``.
+
+    Args:
+        files: text by file name.
+        board: a key of ``BOARDS``.
+        inputs: reference, measurement and, with a drive, speed of each tick.
+        network: the frames of a node; None: ``files`` are the law alone.
 
     Raises:
         ExportError: a tool is missing, or refuses.
     """
     image = image_of(files, "board_count.c", board)
-    counted = emulated(image, board, _file_of(inputs), "counts", "-icount", "shift=6,sleep=off")
+    given = _file_of(inputs) if network is None else _frames_of(inputs, network)
+    counted = emulated(image, board, given, "counts", "-icount", "shift=6,sleep=off")
     return np.asarray(np.frombuffer(counted, "<u4") * (NS_PER_COUNT / NS_PER_INSTRUCTION))
 
 
@@ -67,6 +79,20 @@ def _file_of(inputs: FloatArray) -> dict[str, bytes]:
     """What `support/board_count.c` reads: the first ``MOST_TICKS`` inputs."""
     inputs = inputs[:MOST_TICKS]
     return {"inputs": len(inputs).to_bytes(4, "little") + inputs.astype("<f8").tobytes()}
+
+
+def _frames_of(inputs: FloatArray, network: Network) -> dict[str, bytes]:
+    """The same in frames, each in the room of the longest: fewer ticks if that is long."""
+    room = frame_bytes(network)
+    inputs = inputs[: MOST_TICKS * FRAME_BYTES // room]
+    senders = (network.reference, network.feedback, *([network.speed] if network.speed else []))
+    transmitters = [Transmitter(codec) for codec in senders]
+    frames = (
+        bytes(transmitter.frame(value, tick).data).ljust(room, b"\0")
+        for tick, values in enumerate(inputs.tolist())
+        for transmitter, value in zip(transmitters, values, strict=True)
+    )
+    return {"inputs": len(inputs).to_bytes(4, "little") + b"".join(frames)}
 
 
 def instructions_by_file(

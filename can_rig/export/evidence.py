@@ -23,6 +23,7 @@ from can_rig.export.costs import BOARDS_OF, instructions, instructions_by_file, 
 from can_rig.export.findings import COMPILERS, coverage, eva, findings, misra
 from can_rig.export.law import law_modules
 from can_rig.export.provenance import MANIFEST, PROJECT
+from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import FloatArray
 
@@ -59,7 +60,7 @@ def evidence(
     measured: dict[str, Callable[[], Any]] = {
         "trials": lambda: asdict(coverage(scenario)),
         "memory": lambda: {each: asdict(sizes(law_of(node), each)) for each in boards},
-        "instructions": lambda: {each: _instructions(node, each, runs) for each in boards},
+        "instructions": lambda: {each: _instructions(scenario, each, runs) for each in boards},
         "misra": lambda: misra(files),
         "eva": lambda: eva(files),
     }
@@ -98,12 +99,13 @@ def _version(tool: str) -> str | None:
     return next(iter(said.splitlines()), "no version given")
 
 
-def _instructions(node: Mapping[str, str], board: str, runs: Mapping[str, FloatArray]) -> Record:
+def _instructions(scenario: Scenario, board: str, runs: Mapping[str, FloatArray]) -> Record:
     """Instructions a tick on a board: of the law, of the whole node, of each part, in each run."""
     own, *_ = runs.values()
+    node, network = application(scenario), network_of(scenario)
     law = law_of(node)
     counts = instructions(law, board, own)
-    of_node = {name: instructions(node, board, inputs) for name, inputs in runs.items()}
+    of_node = {name: instructions(node, board, inputs, network) for name, inputs in runs.items()}
     by_file = instructions_by_file(law, board, own)
     around = of_node[next(iter(runs))].mean() - counts.mean()
     modules, parts = law_modules(), {"frames and their protection": float(around)}

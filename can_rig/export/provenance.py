@@ -50,9 +50,14 @@ def with_provenance(texts: Mapping[str, str], scenario: Scenario) -> dict[str, s
         else:
             found[file] = "".join(f"# {line}\n" for line in lines) + text
     hashes = (
-        f"{hashlib.sha256(found[each].encode()).hexdigest()}  {each}\n" for each in sorted(found)
+        f"{hashlib.sha256(as_bytes(found[each])).hexdigest()}  {each}\n" for each in sorted(found)
     )
     return found | {MANIFEST: "".join(hashes)}
+
+
+def as_bytes(text: str) -> bytes:
+    """A file of an export; a scenario's file has the bytes that it had."""
+    return text.encode(errors="surrogateescape")
 
 
 def _origins(scenario: Scenario) -> dict[str, str]:
@@ -60,21 +65,23 @@ def _origins(scenario: Scenario) -> dict[str, str]:
     return {
         **{name: f"{module.replace('.', '/')}.py" for name, module in law_modules().items()},
         "constants": "firmware_model/discretisation/tables.py",
-        "network": f"dbc/{dbc_of(scenario).name}",
+        "network": dbc_of(scenario).name
+        if scenario.network.dbc
+        else f"dbc/{dbc_of(scenario).name}",
         "self_test_data": "can_rig/export/self_test.py",
     }
 
 
 def _scenario_files(scenario: Scenario) -> dict[str, str]:
-    """The scenario as TOML, and the CSV files that the scenario names, by file name."""
+    """The scenario as TOML, its CSV files and its database, by file name."""
     values: dict[str, Any] = written_by(scenario)
     found = {}
     for table, key, _ in FILES:
         path = Path(str(values.get(table, {}).get(key, "")))
-        if path.suffix.lower() == ".csv":
+        if path.suffix.lower() == ".csv" or (key == "dbc" and path.name):
             try:
-                found[path.name] = path.read_text(encoding="utf-8")
-            except (OSError, UnicodeDecodeError) as error:
+                found[path.name] = path.read_bytes().decode(errors="surrogateescape")
+            except OSError as error:
                 raise ScenarioError(
                     f"{table}.{key} = {str(path)!r}: cannot be read: {error}"
                 ) from None

@@ -26,11 +26,13 @@ from can_rig.export.boards import (
     RESTART,
     SURVIVE,
     frame_order,
+    order,
     time_order,
 )
 from can_rig.export.law import parts_of, support
+from can_rig.export.network_code import frame_bytes
 from can_rig.frames.codec import Transmitter
-from can_rig.frames.network import Network
+from can_rig.frames.network import Network, flagged
 from firmware_model.firmware import PYTHON_LAW, Law
 from firmware_model.law.layout import precision_of, state_type, table_type
 from firmware_model.law.monitor import COMPENSATION_OFF, SWINGING
@@ -76,9 +78,9 @@ def random_frames(network: Network, seed: int) -> list[list[can.Message]]:
             if what < 0.04:
                 continue
             if what < 0.08:
-                message.data[choose.randrange(8)] ^= 1 << choose.randrange(8)
+                message.data[choose.randrange(len(message.data))] ^= 1 << choose.randrange(8)
             if what > 0.97:
-                message.data = message.data[: choose.randrange(8)]
+                message.data = message.data[: choose.randrange(len(message.data))]
             frames += [message] * choose.choice([1, 1, 1, 1, 2])
         ticks.append(frames)
     return ticks
@@ -92,22 +94,23 @@ def as_orders(network: Network, seeds: range, tick_us: int) -> bytes:
     The clock wraps; the node reads the clock before and after half a tick, and sometimes seems to
     have stood still.
     """
-    orders = []
+    orders, room = [], frame_bytes(network)
     for seed in seeds:
         choose, at_us = random.Random(seed), 2**32 - NODE_TICKS // 2 * tick_us
-        orders.append(SURVIVE if seed % 2 else RESTART)
+        orders.append(order(SURVIVE if seed % 2 else RESTART, room))
         for frames in random_frames(network, seed):
             late_us = choose.choice([0, choose.randrange(-tick_us // 20, tick_us // 20)])
-            orders.append(time_order(at_us + late_us))
+            orders.append(time_order(at_us + late_us, room))
             for message in frames:
-                orders.append(frame_order(message.arbitration_id, bytes(message.data)))
-            orders += [time_order(at_us + tick_us * tenth // 10) for tenth in (4, 5, 6)]
+                number = flagged(message.arbitration_id, message.is_extended_id, message.is_fd)
+                orders.append(frame_order(number, bytes(message.data), room))
+            orders += [time_order(at_us + tick_us * tenth // 10, room) for tenth in (4, 5, 6)]
             at_us += tick_us
             if choose.random() < STANDSTILLS:
                 most = 16 * tick_us  # ECU_MOST_LATE_TICKS
                 stood = choose.choice([most, most + 1, 2 * most, 2**31, 2**32 - 2 * tick_us - 1])
-                orders.append(time_order((at_us + late_us + stood) % 2**32))
-        orders.append(COUNT)
+                orders.append(time_order((at_us + late_us + stood) % 2**32, room))
+        orders.append(order(COUNT, room))
     return b"".join(orders)
 
 

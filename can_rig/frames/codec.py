@@ -367,8 +367,28 @@ NO_VERDICT: Final = 15
 """The code of ``Verdict`` of a controller that says a fault state and no verdict."""
 
 
+class Coding(NamedTuple):
+    """A raw value as steps: sign · (raw + from_zero)."""
+
+    sign: int = 1
+    from_zero: int = 0
+    is_signed: bool = True
+    """Whether raw is a two's complement."""
+
+
 class Layout(Protocol):
     """The conversion between a frame's content and its bytes."""
+
+    @property
+    def coding(self) -> Coding:
+        """The value's; a float has none."""
+
+    @property
+    def places(self) -> Mapping[str, Sequence[int]]:
+        """Bits of the frame by a field's name in ``Record``, from the field's lowest bit on.
+
+        Bit 0 is the lowest of byte 0.
+        """
 
     @property
     def length(self) -> int:
@@ -399,6 +419,7 @@ class RigLayout:
 
     length: Final = FRAME_BYTES
     has_tick: Final = True
+    coding: Final = Coding()
 
     def __init__(
         self,
@@ -411,6 +432,17 @@ class RigLayout:
         self.verdict_bits: Final = low_bits
         self._most = (1 << self.verdict_bits) - 1
         self.has_status: Final = shifts is not None
+        self.places: Final[Mapping[str, Sequence[int]]] = {
+            "value": range(32 + low_bits, 64),
+            "tick": range(16, 32),
+            "verdict": range(32, 32 + low_bits),
+            **{
+                name: range(8 + shift, 8 + shift + mask.bit_length())
+                for name, shift, mask in zip(
+                    ("mode", "fault_state"), shifts or (), masks, strict=False
+                )
+            },
+        }
 
     def pack(self, k: float, tick: int, mode: int, fault_state: int, verdict: int) -> bytearray:
         """See ``Layout``."""

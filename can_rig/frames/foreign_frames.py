@@ -21,7 +21,7 @@ from typing import Any, Final
 from cantools.database.can import Database, Message, Signal
 
 from can_rig.errors import DbcError
-from can_rig.frames.codec import ROLES, MessageCodec, Unpacked
+from can_rig.frames.codec import ROLES, Coding, MessageCodec, Unpacked
 from can_rig.frames.databases import load_for
 from can_rig.frames.network import Network, require_distinct_data_ids, words_of
 from firmware_model.law.status import Verdict
@@ -46,12 +46,14 @@ class Places:
     verdict: Signal | None = None
 
     @property
+    def fields(self) -> dict[str, Signal]:
+        """The signals that the message has, by their names here."""
+        return {name: signal for name, signal in vars(self).items() if signal is not None}
+
+    @property
     def codes(self) -> Iterator[tuple[str, Signal]]:
         """The code signals, with each code's name."""
-        for name in CODES:
-            signal: Signal | None = getattr(self, name)
-            if signal is not None:
-                yield name, signal
+        return ((name, signal) for name, signal in self.fields.items() if name in CODES)
 
 
 @dataclass(frozen=True)
@@ -91,11 +93,14 @@ class AnyLayout:
         self._message, self._places = message, places
         self.has_tick: Final = places.tick is not None
         self.length: Final = _frame_length(message, where)
-        for signal in (places.value, places.tick, *(each for _, each in places.codes)):
-            if signal is not None and signal.multiplexer_ids:
+        for signal in places.fields.values():
+            if signal.multiplexer_ids:
                 raise DbcError(f"{where.of(signal)} is multiplexed: must be in every frame")
-        self._from_zero = 0 if is_float(places.value) else _steps_to_zero(places.value, where)
-        self._sign = -1 if (places.value.scale < 0) != mirrored else 1
+        self.coding: Final = Coding(
+            -1 if (places.value.scale < 0) != mirrored else 1,
+            0 if is_float(places.value) else _steps_to_zero(places.value, where),
+            bool(places.value.is_signed),
+        )
         self._rest: dict[str, int | float] = {s.name: _initial(message, s) for s in message.signals}
         if places.tick is not None:
             _require_counter(places.tick, where)
@@ -107,6 +112,7 @@ class AnyLayout:
                     f"{where.of(code)}: must be an integer of at least {bits} bits, factor 1, "
                     "offset 0"
                 )
+        self.places: Final = {name: bits_of(each) for name, each in places.fields.items()}
 
     def share(self, other: AnyLayout) -> None:
         """Pack a frame together with ``other``, of the same message: each sends both values."""
@@ -118,7 +124,8 @@ class AnyLayout:
         if is_float(places.value):
             raw[places.value.name] = k
         else:
-            raw[places.value.name] = self._sign * int(k) - self._from_zero
+            sign, from_zero, _ = self.coding
+            raw[places.value.name] = sign * int(k) - from_zero
         if places.tick is not None:
             raw[places.tick.name] = tick & 0xFFFF & self._tick_mask
         said = {"mode": mode, "fault_state": fault_state, "verdict": verdict}
@@ -131,10 +138,10 @@ class AnyLayout:
     def unpack(self, data: bytes | bytearray) -> Unpacked:
         """The content of a frame of the right length."""
         raw: Any = self._message.decode(bytes(data), decode_choices=False, scaling=False)
-        places = self._places
+        places, (sign, from_zero, _) = self._places, self.coding
         k = raw[places.value.name]
         return (
-            k if is_float(places.value) else self._sign * (k + self._from_zero),
+            k if is_float(places.value) else sign * (k + from_zero),
             0 if places.tick is None else int(raw[places.tick.name]) & 0xFFFF,
             0 if places.mode is None else raw[places.mode.name],
             0 if places.fault_state is None else raw[places.fault_state.name],
@@ -419,9 +426,9 @@ def _tick(
 
 def _require_room(message: Message, signals: tuple[Signal | None, ...], where: Where) -> None:
     """Refuse a protected message with signals at the place of profile 1's CRC and counter."""
-    taken = (1 << 12) - 1  # byte 0 and the low nibble of byte 1
+    taken = range(12)  # byte 0 and the low nibble of byte 1
     for signal in signals:
-        if signal is not None and taken & _bits(message, signal):
+        if signal is not None and not {*taken}.isdisjoint(bits_of(signal)):
             raise DbcError(
                 f"{where.of(signal)} lies in byte 0 or the low half of byte 1: must "
                 "leave them to the CRC and the counter of E2E profile 1"
@@ -430,15 +437,13 @@ def _require_room(message: Message, signals: tuple[Signal | None, ...], where: W
         raise DbcError(f"{where.message}: must have at least 2 bytes for E2E profile 1")
 
 
-def _bits(message: Message, signal: Signal) -> int:
-    """The frame bits of a signal, bit 0 the lowest of byte 0."""
-    raw: dict[str, int | float] = {each.name: 0 for each in message.signals}
-    before = message.encode(raw, scaling=False, strict=False)
-    raw[signal.name] = -1 if signal.is_signed else (1 << signal.length) - 1
-    if signal.is_float:
-        return 0 if signal.start >= 12 else (1 << 12) - 1
-    after = message.encode(raw, scaling=False, strict=False)
-    return int.from_bytes(before, "little") ^ int.from_bytes(after, "little")
+def bits_of(signal: Signal) -> tuple[int, ...]:
+    """The frame bits of a signal from its lowest on, bit 0 the lowest of byte 0."""
+    start, length = int(signal.start), int(signal.length)
+    if signal.byte_order == "little_endian":
+        return tuple(range(start, start + length))
+    first = start // 8 * 8 + 7 - start % 8  # counted from the highest bit of byte 0
+    return tuple(at // 8 * 8 + 7 - at % 8 for at in range(first + length - 1, first - 1, -1))
 
 
 def _hint(name: str, known: list[str] | dict[str, Signal]) -> str:

@@ -31,7 +31,8 @@ from can_rig.frames.codec import (
 from can_rig.frames.databases import attribute, load_dbc
 from firmware_model.law.status import Verdict
 
-EXTENDED_FLAG = 1 << 31
+EXTENDED_FLAG, FD_FLAG = 1 << 31, 1 << 30
+_IDENTIFIER: Final = (1 << 29) - 1
 
 _HEADER: Final = {"Checksum": (0, 8), "AliveCounter": (8, 4), "Tick": (16, 16)}  # start, length
 _STATUS: Final = ("Mode", "FaultState")
@@ -43,6 +44,16 @@ _VALID: Final = (8 + VALID_SHIFT, 1)
 _SAMPLE_TICK: Final = (32, SAMPLE_BITS)
 _VALUE_OVER_SAMPLE_TICK: Final = (32 + SAMPLE_BITS, 32 - SAMPLE_BITS)
 _GRID_TOLERANCE: Final = 1e-3  # of an LSB; float64 resolves 5e-7 LSB at the end of 32 bits
+
+
+def flagged(frame_id: int, extended: bool, fd: bool) -> int:
+    """An identifier with what else tells kinds of frames apart."""
+    return frame_id | extended * EXTENDED_FLAG | fd * FD_FLAG
+
+
+def unflagged(number: int) -> tuple[int, bool, bool]:
+    """The arguments of ``flagged``."""
+    return number & _IDENTIFIER, bool(number & EXTENDED_FLAG), bool(number & FD_FLAG)
 
 
 @dataclass(frozen=True, slots=True)

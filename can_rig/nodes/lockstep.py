@@ -31,7 +31,7 @@ from can_rig.controllers.protocol import (
 )
 from can_rig.errors import ExportError, ScenarioError
 from can_rig.frames.codec import WIRE_TICKS, Receiver, Record, tick_from, ticks_ahead
-from can_rig.frames.network import Network
+from can_rig.frames.network import Network, flagged, unflagged
 from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Clock, NodeBus, Send, Watchdog
 from can_rig.nodes.ends import (
     COMMANDS,
@@ -504,9 +504,14 @@ class EcuNode(AnsweringNode):
         self._ecu = ecu
         speed = () if network.speed is None else (network.speed,)
         self._inputs = (network.reference, network.feedback, *speed)
-        self._wanted = {codec.frame_id for codec in (*network.inputs, *network.witnesses)}
-        commands = (network.command_1, network.command_2)
-        self._channels = {codec.frame_id: channel for channel, codec in enumerate(commands)}
+        self._wanted = {
+            flagged(codec.frame_id, codec.extended, codec.fd)
+            for codec in (*network.inputs, *network.witnesses)
+        }
+        self._channels = {
+            flagged(codec.frame_id, codec.extended, codec.fd): channel
+            for channel, codec in enumerate((network.command_1, network.command_2))
+        }
         self._faults = FrameFaults(scenario, network)
         self._followed = FollowedFaults(scenario, self._faults)
         self._rejected: Rejected = {}
@@ -524,16 +529,16 @@ class EcuNode(AnsweringNode):
 
     def _receive(self, message: can.Message) -> bool:
         """Pass a frame to the program, send a completed tick's answer; True after an answer."""
-        if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+        number = flagged(message.arbitration_id, message.is_extended_id, message.is_fd)
+        if message.is_remote_frame or message.is_error_frame or number not in self._wanted:
             return False
-        if message.arbitration_id not in self._wanted:
-            return False
-        sent = self._ecu.take(message.arbitration_id, bytes(message.data))
-        for frame_id, data in sent:
-            own = can.Message(0.0, frame_id, False, data=data)
+        sent = self._ecu.take(number, bytes(message.data))
+        for number, data in sent:
+            frame_id, extended, fd = unflagged(number)
+            own = can.Message(0.0, frame_id, extended, data=data, is_fd=fd)
             frames = [own]
-            if frame_id in self._channels:
-                frames = self._faults.on_the_wire(own, self._channels[frame_id], self._tick)
+            if number in self._channels:
+                frames = self._faults.on_the_wire(own, self._channels[number], self._tick)
             for frame in frames:
                 self._send(frame)
         if sent:

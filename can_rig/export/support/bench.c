@@ -2,7 +2,7 @@
 
 #include "harness.h"
 
-#define ORDER_BYTES 12
+#define ORDER_BYTES (6u + FRAME_BYTES)
 #define ORDER_FRAME 'F'
 #define ORDER_COUNTS 'C'
 #define ORDER_RESTART 'R'
@@ -23,19 +23,21 @@ static bool read_order(uint8_t order[ORDER_BYTES])
             return false;
         }
     } while (!is_order(order[0]));
-    return bench_read(&order[1], ORDER_BYTES - 1);
+    return bench_read(&order[1], ORDER_BYTES - 1u);
 }
 
 static bool answer_frame(const uint8_t order[ORDER_BYTES])
 {
-    uint8_t answer[1 + HARNESS_MOST_FRAMES * HARNESS_FRAME_BYTES];
-    const uint16_t low = (uint16_t)(order[1] | order[2] << 8);
-    const uint16_t high = (uint16_t)(order[3] | order[4] << 8);
+    uint8_t answer[1u + HARNESS_MOST_FRAMES * HARNESS_FRAME_BYTES];
+    uint32_t number = 0;
 
+    for (uint32_t i = 0; i < 4u; i++) {
+        number |= (uint32_t)order[1u + i] << (8u * i);
+    }
     answer[0] = order[0] == ORDER_TIME
-                    ? harness_time(&ecu, (uint32_t)high << 16 | low, &answer[1])
-                    : harness_frame(&ecu, low, order[3], &order[4], &answer[1]);
-    return bench_write(answer, 1 + (uint32_t)answer[0] * HARNESS_FRAME_BYTES);
+                    ? harness_time(&ecu, number, &answer[1])
+                    : harness_frame(&ecu, number, order[5], &order[6], &answer[1]);
+    return bench_write(answer, 1u + (uint32_t)answer[0] * HARNESS_FRAME_BYTES);
 }
 
 static bool answer_counts(void)

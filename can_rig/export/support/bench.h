@@ -1,24 +1,24 @@
 /* The controller node on a test bench, in place of its CAN driver.
  *
  * Any link that keeps bytes in order will do: a serial port, semihosting. The bench sends orders of
- * 12 bytes, of which the first says what it is; the node answers each one:
+ * {order_bytes} bytes, of which the first says what it is; the node answers each one:
  *
- *     'F', identifier (2 bytes), length, data (8)   number of frames, then 10 bytes for each frame
- *                                                   that was sent: identifier (2), data (8)
- *     'T', microseconds (4), 7 bytes of anything    as for 'F'; frames that follow come at this time,
+ *     'F', identifier (4 bytes), length, data       number of frames, then {sent_bytes} bytes for each frame
+ *                                                   that was sent: identifier (4), length, data
+ *     'T', microseconds (4), anything               as for 'F'; frames that follow come at this time,
  *                                                   and a feedback that is overdue is missed
 //: if hears
- *     'C', 11 bytes of anything                     how many frames of reference, feedback and speed
+ *     'C', anything                                 how many frames of reference, feedback and speed
 //: else
- *     'C', 11 bytes of anything                     how many frames of reference and feedback
+ *     'C', anything                                 how many frames of reference and feedback
 //: end
  *                                                   had each e2e_status (10 numbers of 4 bytes each)
- *     'R', 11 bytes of anything                     8 bytes that say which controller this is; it has
+ *     'R', anything                                 8 bytes that say which controller this is; it has
  *                                                   started again, as after power-up; zeros: its
  *                                                   self-test failed, and it stays silent
  *
  * Numbers have their low byte first. Bytes before an order that are none of these letters are skipped:
- * 12 zeros end an order that was cut short.
+ * {order_bytes} zeros end an order that was cut short.
  */
 #ifndef BENCH_H
 #define BENCH_H

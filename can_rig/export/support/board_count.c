@@ -5,7 +5,7 @@
 //: end
  * counts to another.
 //: if node
- * The whole node is counted, from its frames to its frames, without the driver.
+ * They are in frames: the whole node is counted, without the driver.
 //: end
  *
  * The emulator gives every instruction 64 ns and SysTick counts 40 ns, so a count times 40/64 is
@@ -25,71 +25,57 @@
 
 #define MOST_TICKS 65536
 
-//: if blends
-static double inputs[MOST_TICKS][3];
-//: else
-static double inputs[MOST_TICKS][2];
-//: end
-static uint32_t counts[MOST_TICKS];
 //: if node
-
-/* The sender of an input of the node. */
-struct sender {
-    const struct frame *frame;
-    struct e2e_protector protector;
-    uint8_t data[8];
-};
-
-static struct ecu node;
-static struct sender senders[] = {
-    {.frame = &frame_reference},
-    {.frame = &frame_feedback},
+static const struct frame *const senders[] = {
+    &frame_reference,
+    &frame_feedback,
 //: if blends
-    {.frame = &frame_speed},
+    &frame_speed,
 //: end
 };
 
 #define SENDERS (sizeof senders / sizeof senders[0])
 
-void ecu_send(const struct ecu *ecu, uint16_t id, const uint8_t data[8])
+static uint8_t inputs[MOST_TICKS * 8u / FRAME_BYTES][SENDERS][FRAME_BYTES];
+//: else
+//: if blends
+static double inputs[MOST_TICKS][3];
+//: else
+static double inputs[MOST_TICKS][2];
+//: end
+//: end
+static uint32_t counts[MOST_TICKS];
+//: if node
+
+static struct ecu node;
+
+void ecu_send(const struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data)
 {
     (void)ecu;
     (void)id;
+    (void)length;
     (void)data;
 }
 
 static void begin(void)
 {
     (void)ecu_init(&node);
-    for (uint32_t i = 0; i < SENDERS; i++) {
-        e2e_protector_init(&senders[i].protector, senders[i].frame->data_id);
-    }
 }
 
-static void prepare(uint32_t tick)
+static bool take(uint32_t tick, uint32_t sender)
 {
-    for (uint32_t i = 0; i < SENDERS; i++) {
-        struct sender *const own = &senders[i];
+    const struct frame *const frame = senders[sender];
 
-        own->data[1] = 0;
-        frame_pack(own->frame, (real)inputs[tick][i], (uint16_t)tick, own->data);
-        e2e_protect(&own->protector, own->data);
-    }
-}
-
-static bool take(const struct sender *own)
-{
-    return ecu_on_frame(&node, own->frame->id, 8, own->data, 0);
+    return ecu_on_frame(&node, frame->id, frame->bytes, inputs[tick][sender], 0);
 }
 
 static void work(uint32_t tick)
 {
-    (void)tick;
 //: if blends
-    (void)take(&senders[2]);
+    (void)take(tick, 2);
 //: end
-    (void)take(&senders[0]);
-    if (take(&senders[1])) {
+    (void)take(tick, 0);
+    if (take(tick, 1)) {
         ecu_on_tick(&node);
     }
 }
@@ -104,11 +90,6 @@ static void begin(void)
 {
     firmware_init(&state);
     firmware_reset(&state, {zero});
-}
-
-static void prepare(uint32_t tick)
-{
-    (void)tick;
 }
 
 static void work(uint32_t tick)
@@ -132,7 +113,6 @@ int main(void)
     SYST_RVR = LARGEST;
     SYST_CSR = 5; /* the processor's clock, no interrupt */
     for (uint32_t i = 0; i < ticks; i++) {
-        prepare(i);
         SYST_CVR = 0; /* starts again from the largest */
         const uint32_t before = SYST_CVR;
         work(i);

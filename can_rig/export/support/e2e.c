@@ -6,35 +6,38 @@
 #define MAX_DELTA 1u    /* tolerated step where no frame was missed */
 #define WIDEST 15u      /* a window that tolerates every step */
 
-static uint8_t crc_of(uint16_t data_id, const uint8_t data[E2E_BYTES])
+static uint8_t crc_of_identifier(uint16_t data_id)
 {
-    const uint8_t identifier[2] = {(uint8_t)(data_id & 0xFFu), (uint8_t)(data_id >> 8)};
+    const uint8_t bytes[2] = {(uint8_t)(data_id & 0xFFu), (uint8_t)(data_id >> 8)};
 
-    return crc_8(crc_8(0, identifier, 2), &data[1], E2E_BYTES - 1u);
+    return crc_8(0, bytes, 2);
 }
 
 void e2e_protector_init(struct e2e_protector *protector, uint16_t data_id)
 {
-    protector->data_id = data_id;
-    protector->counter = 0;
+    *protector = (struct e2e_protector){.data_id = data_id, .begun = crc_of_identifier(data_id)};
 }
 
-void e2e_checker_init(struct e2e_checker *checker, uint16_t data_id)
+void e2e_checker_init(struct e2e_checker *checker, uint16_t data_id, uint8_t bytes)
 {
-    *checker = (struct e2e_checker){.data_id = data_id, .window = MAX_DELTA};
+    *checker = (struct e2e_checker){.data_id = data_id, .begun = crc_of_identifier(data_id),
+                                    .bytes = bytes, .window = MAX_DELTA};
 }
 
-void e2e_protect(struct e2e_protector *protector, uint8_t data[E2E_BYTES])
+void e2e_protect(struct e2e_protector *protector, uint8_t *data, uint8_t bytes)
 {
-    data[1] = (uint8_t)((data[1] & 0xF0u) | protector->counter);
-    data[0] = crc_of(protector->data_id, data);
-    protector->counter = (uint8_t)((protector->counter + 1u) % COUNTERS);
+    if (protector->data_id != 0u) {
+        data[1] = (uint8_t)((data[1] & 0xF0u) | protector->counter);
+        data[0] = crc_8(protector->begun, &data[1], bytes - 1u);
+        protector->counter = (uint8_t)((protector->counter + 1u) % COUNTERS);
+    }
 }
 
 bool e2e_intact(const struct e2e_checker *checker, const uint8_t *data, uint8_t length)
 {
-    return length == E2E_BYTES && data[0] == crc_of(checker->data_id, data) &&
-           (data[1] & 0x0Fu) < COUNTERS;
+    return length == checker->bytes &&
+           (checker->data_id == 0u || (data[0] == crc_8(checker->begun, &data[1], length - 1u) &&
+                                       (data[1] & 0x0Fu) < COUNTERS));
 }
 
 /* Adopt the counter of a frame, with the initial tolerance. */
@@ -75,19 +78,19 @@ static void widen(struct e2e_checker *checker)
     }
 }
 
-static enum e2e_status damage(uint8_t length)
+static enum e2e_status damage(const struct e2e_checker *checker, uint8_t length)
 {
-    return length == E2E_BYTES ? E2E_WRONG_CRC : E2E_WRONG_LENGTH;
+    return length == checker->bytes ? E2E_WRONG_CRC : E2E_WRONG_LENGTH;
 }
 
 bool e2e_check(struct e2e_checker *checker, const uint8_t *data, uint8_t length)
 {
-    enum e2e_status status = damage(length);
+    enum e2e_status status = damage(checker, length);
     const bool intact = e2e_intact(checker, data, length);
 
     widen(checker);
     if (intact) {
-        status = judge(checker, data[1] & 0x0Fu);
+        status = checker->data_id == 0u ? E2E_OK : judge(checker, data[1] & 0x0Fu);
     }
     checker->counts[status]++;
     return status <= E2E_OK_SOME_LOST;
@@ -95,7 +98,7 @@ bool e2e_check(struct e2e_checker *checker, const uint8_t *data, uint8_t length)
 
 void e2e_reject(struct e2e_checker *checker, const uint8_t *data, uint8_t length)
 {
-    checker->counts[e2e_intact(checker, data, length) ? E2E_WRONG_TICK : damage(length)]++;
+    checker->counts[e2e_intact(checker, data, length) ? E2E_WRONG_TICK : damage(checker, length)]++;
 }
 
 void e2e_no_new_data(struct e2e_checker *checker)

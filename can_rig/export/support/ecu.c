@@ -12,7 +12,7 @@ static void receiver_begin(struct ecu_receiver *receiver, const struct frame *fr
 {
     struct e2e_checker checker;
 
-    e2e_checker_init(&checker, frame->data_id);
+    e2e_checker_init(&checker, frame->data_id, frame->bytes);
     (void)memcpy(checker.counts, receiver->checker.counts, sizeof checker.counts);
     receiver->checker = checker;
     receiver->judged = false;
@@ -24,15 +24,15 @@ static void begin(struct ecu *ecu)
     firmware_init(&ecu->state);
     receiver_begin(&ecu->reference, &frame_reference);
     receiver_begin(&ecu->feedback, &frame_feedback);
-    ecu->offered = false;
+    ecu->first.there = false;
 //: if hears
     receiver_begin(&ecu->speed, &frame_speed);
-    ecu->speed_offered = false;
+    ecu->first_speed.there = false;
 //: end
 //: if sensors
     for (uint32_t i = 0; i < ECU_SENSORS; i++) {
         receiver_begin(&ecu->sensors[i].receiver, &ecu_sensors[i].frame);
-        ecu->sensors[i].offered = false;
+        ecu->sensors[i].first.there = false;
         ecu->sensors[i].value = (real)NAN;
     }
 //: end
@@ -62,16 +62,36 @@ bool ecu_restore(struct ecu *ecu, const struct knowledge_saved *saved)
     return firmware_restore(&ecu->state, saved);
 }
 
-/* Whether the content of a frame may be used: intact, in sequence, and of this tick. */
-static bool receive(struct ecu_receiver *receiver, uint16_t tick, uint8_t length,
-                    const uint8_t *data)
+/* The content of a frame of the right length. A frame without a tick is of 'tick'. */
+static struct frame_content content_of(const struct frame *frame, uint32_t tick,
+                                       const uint8_t *data)
 {
-    if (length == E2E_BYTES && frame_tick(data) == tick) {
-        receiver->judged = true;
-        return e2e_check(&receiver->checker, data, length);
+    struct frame_content content = {.tick = tick};
+
+    frame->unpack(frame, data, &content);
+    return content;
+}
+
+/* Whether the content of a frame may be used: intact, in sequence, and of this tick. */
+static bool receive(struct ecu_receiver *receiver, const struct frame *frame, uint16_t tick,
+                    uint8_t length, const uint8_t *data, struct frame_content *content)
+{
+    if (length == frame->bytes) {
+        *content = content_of(frame, tick, data);
+        if (content->tick == tick) {
+            receiver->judged = true;
+            return e2e_check(&receiver->checker, data, length);
+        }
     }
     e2e_reject(&receiver->checker, data, length);
     return false;
+}
+
+static void keep(struct ecu_offer *first, uint8_t length, const uint8_t *data)
+{
+    first->there = true;
+    first->length = length;
+    (void)memcpy(first->data, data, length < FRAME_BYTES ? length : FRAME_BYTES);
 }
 
 static void end_tick(struct ecu_receiver *receiver)
@@ -84,66 +104,64 @@ static void end_tick(struct ecu_receiver *receiver)
 
 static void take_reference(struct ecu *ecu, uint8_t length, const uint8_t *data)
 {
-    if (receive(&ecu->reference, ecu->tick, length, data)) {
-        ecu->wanted = frame_value(&frame_reference, data);
-        ecu->wanted_tick = frame_tick(data);
+    struct frame_content content;
+
+    if (receive(&ecu->reference, &frame_reference, ecu->tick, length, data, &content)) {
+        ecu->wanted = content.value;
+        ecu->wanted_tick = ecu->tick;
     }
 }
 //: if hears
 
 //: if blends
 /* Without a frame that may be used, the law goes on with the last speed. */
-static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
-{
-    if (receive(&ecu->speed, ecu->tick, length, data)) {
-        firmware_change_speed(&ecu->state, frame_value(&frame_speed, data));
-    }
-}
 //: else
 /* Judged and counted like any other; the law is for one speed. */
+//: end
 static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
 {
-    (void)receive(&ecu->speed, ecu->tick, length, data);
-}
+    struct frame_content content;
+
+//: if blends
+    if (receive(&ecu->speed, &frame_speed, ecu->tick, length, data, &content)) {
+        firmware_change_speed(&ecu->state, content.value);
+    }
+//: else
+    (void)receive(&ecu->speed, &frame_speed, ecu->tick, length, data, &content);
 //: end
+}
 //: end
 //: if sensors
 
 /* Note the content of a sample for this tick; an invalid sample has none. */
 static void take_sample(struct ecu *ecu, uint32_t at, uint8_t length, const uint8_t *data)
 {
-    const struct frame *const frame = &ecu_sensors[at].frame;
+    const struct ecu_sensor_frame *const of = &ecu_sensors[at];
     struct ecu_sensor *const sensor = &ecu->sensors[at];
+    struct frame_content content;
 
-    if (receive(&sensor->receiver, ecu->tick, length, data)) {
-        const uint32_t sample = (uint32_t)data[4] | (uint32_t)data[5] << 8;
-        const uint32_t most = (1u << frame->verdict_bits) - 1u;
-        const uint32_t age = (ecu->tick - sample) & most;
-        const bool valid = ((uint32_t)data[1] >> frame->mode_shift & 1u) != 0u;
-
-        sensor->value = valid ? frame_value(frame, data) : (real)NAN;
-        sensor->age = (real)age;
+    if (receive(&sensor->receiver, &of->frame, ecu->tick, length, data, &content)) {
+        sensor->value = content.mode == of->valid ? content.value : (real)NAN;
+        sensor->age = (real)((ecu->tick - content.verdict) & of->largest);
     }
 }
 
-/* Whether 'id' is of a sample, which is noted. */
-static bool is_sample(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data)
+/* Whether 'id' is of samples, which are noted. */
+static bool is_sample(struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data)
 {
-    for (uint32_t i = 0; i < ECU_SENSORS; i++) {
-        struct ecu_sensor *const sensor = &ecu->sensors[i];
+    bool found = false;
 
+    for (uint32_t i = 0; i < ECU_SENSORS; i++) {
         if (id == ecu_sensors[i].frame.id) {
+            found = true;
             if (ecu->running) {
                 take_sample(ecu, i, length, data);
             } else {
-                sensor->offered = true;
-                sensor->first_length = length;
-                (void)memcpy(sensor->first, data, length < 8u ? length : 8u);
+                keep(&ecu->sensors[i].first, length, data);
             }
-            return true;
         }
     }
-    return false;
+    return found;
 }
 
 static void hear_sensors(struct ecu *ecu)
@@ -176,19 +194,17 @@ static void end_tick_of_sensors(struct ecu *ecu)
  * One frame of 256 that another sender makes up has the right CRC, and would do where the tick is
  * still anybody's guess. So two are wanted that agree; until then no checker sees any.
  */
-static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data)
+static bool first_contact(struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data)
 {
     if (id == frame_reference.id) {
-        ecu->offered = true;
-        ecu->first_length = length;
-        (void)memcpy(ecu->first, data, length < 8u ? length : 8u);
+        if (e2e_intact(&ecu->reference.checker, data, length)) {
+            keep(&ecu->first, length, data);
+        }
         return false;
     }
 //: if hears
     if (id == frame_speed.id) {
-        ecu->speed_offered = true;
-        ecu->first_speed_length = length;
-        (void)memcpy(ecu->first_speed, data, length < 8u ? length : 8u);
+        keep(&ecu->first_speed, length, data);
         return false;
     }
 //: end
@@ -197,34 +213,36 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
         return false;
     }
 //: end
-    if (id != frame_feedback.id || !ecu->offered ||
+    if (id != frame_feedback.id || !ecu->first.there ||
         !e2e_intact(&ecu->feedback.checker, data, length) ||
-        !e2e_intact(&ecu->reference.checker, ecu->first, ecu->first_length) ||
-        frame_tick(data) != frame_tick(ecu->first)) {
+        content_of(&frame_feedback, 0, data).tick !=
+            content_of(&frame_reference, 0, ecu->first.data).tick) {
         return false;
     }
     ecu->running = true;
-    ecu->tick = frame_tick(data);
-    take_reference(ecu, ecu->first_length, ecu->first);
+    ecu->tick = (uint16_t)content_of(&frame_feedback, 0, data).tick;
+    take_reference(ecu, ecu->first.length, ecu->first.data);
 //: if hears
-    if (ecu->speed_offered) {
-        take_speed(ecu, ecu->first_speed_length, ecu->first_speed);
+    if (ecu->first_speed.there) {
+        take_speed(ecu, ecu->first_speed.length, ecu->first_speed.data);
     }
 //: end
 //: if sensors
     ecu->ticks = ecu->tick;
     for (uint32_t i = 0; i < ECU_SENSORS; i++) {
-        if (ecu->sensors[i].offered) {
-            take_sample(ecu, i, ecu->sensors[i].first_length, ecu->sensors[i].first);
+        if (ecu->sensors[i].first.there) {
+            take_sample(ecu, i, ecu->sensors[i].first.length, ecu->sensors[i].first.data);
         }
     }
 //: end
     return true;
 }
 
-bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data,
+bool ecu_on_frame(struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data,
                   uint32_t now_us)
 {
+    struct frame_content content;
+
     if (!ecu->is_fit || (!ecu->running && !first_contact(ecu, id, length, data))) {
         return false;
     }
@@ -238,8 +256,9 @@ bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *d
     } else if (is_sample(ecu, id, length, data)) {
         /* noted */
 //: end
-    } else if (id == frame_feedback.id && receive(&ecu->feedback, ecu->tick, length, data)) {
-        ecu->measured = frame_value(&frame_feedback, data);
+    } else if (id == frame_feedback.id &&
+               receive(&ecu->feedback, &frame_feedback, ecu->tick, length, data, &content)) {
+        ecu->measured = content.value;
         ecu->expected_us = now_us;
         return true;
     } else {
@@ -275,17 +294,14 @@ static void pass(struct ecu *ecu, uint8_t stage)
 }
 
 static void answer(struct ecu *ecu, uint8_t stage, const struct frame *frame,
-                   struct e2e_protector *protector, real value, uint8_t status_bits,
-                   uint8_t verdict)
+                   struct e2e_protector *protector, const struct frame_content *content)
 {
-    uint8_t data[8] = {0};
+    uint8_t data[FRAME_BYTES] = {0};
 
-    data[1] = status_bits;
-    frame_pack(frame, value, ecu->tick, data);
-    data[4] = (uint8_t)(data[4] | verdict);
-    e2e_protect(protector, data);
+    frame->pack(frame, content, data);
+    e2e_protect(protector, data, frame->bytes);
     if (ecu->is_fit) {
-        ecu_send(ecu, frame->id, data);
+        ecu_send(ecu, frame->id, frame->bytes, data);
     }
     pass(ecu, stage);
 }
@@ -301,14 +317,18 @@ void ecu_on_tick(struct ecu *ecu)
 //: end
     const struct firmware_answer now =
         firmware_step(&ecu->state, reference, ecu->measured);
-    const uint8_t bits = (uint8_t)((uint32_t)now.mode << frame_status.mode_shift |
-                                   (uint32_t)now.fault_state << frame_status.fault_state_shift);
+    struct frame_content content = {.tick = ecu->tick};
 
     pass(ecu, 0);
-    answer(ecu, 1, &frame_command_1, &ecu->command_1, now.command_1, 0, 0);
-    answer(ecu, 2, &frame_command_2, &ecu->command_2, now.command_2, 0, 0);
-    answer(ecu, 3, &frame_status, &ecu->status, now.fault_estimate, bits,
-           (uint8_t)now.verdict);
+    content.value = now.command_1;
+    answer(ecu, 1, &frame_command_1, &ecu->command_1, &content);
+    content.value = now.command_2;
+    answer(ecu, 2, &frame_command_2, &ecu->command_2, &content);
+    content.value = now.fault_estimate;
+    content.mode = (uint32_t)now.mode;
+    content.fault_state = (uint32_t)now.fault_state;
+    content.verdict = (uint32_t)now.verdict;
+    answer(ecu, 3, &frame_status, &ecu->status, &content);
     end_tick(&ecu->reference);
     end_tick(&ecu->feedback);
 //: if hears

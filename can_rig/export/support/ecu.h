@@ -1,8 +1,8 @@
 /* The whole controller node: receive rules, the law, and the frames that answer.
  *
- * An application calls ecu_init once, ecu_on_frame for every data frame with an 11-bit identifier
- * that it receives, and ecu_on_tick once a tick: when ecu_on_frame has said that the tick is
- * complete, or while ecu_is_overdue says that its feedback does not come. It provides ecu_send.
+ * An application calls ecu_init once, ecu_on_frame for every data frame that it receives, and
+ * ecu_on_tick once a tick: when ecu_on_frame has said that the tick is complete, or while
+ * ecu_is_overdue says that its feedback does not come. It provides ecu_send.
  *
  * Times are those of any clock of microseconds; it may wrap.
  */
@@ -23,13 +23,22 @@ struct ecu_receiver {
     bool judged; /* whether the checker has judged a frame of this tick */
 };
 
+/* A frame that came before the first contact. */
+struct ecu_offer {
+    bool there;
+    uint8_t length;
+    uint8_t data[FRAME_BYTES];
+};
+
 //: if sensors
 /* What the DBC and the scenario say of a further sensor. */
 struct ecu_sensor_frame {
-    struct frame frame; /* mode_shift: of the validity; the verdict: the tick of the sample */
+    struct frame frame;
     uint8_t number;
     uint32_t period; /* in ticks, from tick 'phase' on */
     uint32_t phase;
+    uint32_t valid;   /* the mode of a valid sample */
+    uint32_t largest; /* of the age of a sample in ticks; 0: the frame does not say it */
 };
 
 #define ECU_SENSORS {sensors}u
@@ -38,9 +47,7 @@ extern const struct ecu_sensor_frame ecu_sensors[ECU_SENSORS];
 /* The receiving end of a sample. */
 struct ecu_sensor {
     struct ecu_receiver receiver;
-    bool offered;     /* whether a sample came before the first contact: */
-    uint8_t first[8]; /* its bytes */
-    uint8_t first_length;
+    struct ecu_offer first;
     real value; /* of this tick; NAN until one is accepted */
     real age;   /* ticks since its sample */
 };
@@ -60,9 +67,7 @@ struct ecu {
     struct e2e_protector status;
 //: if hears
     struct ecu_receiver speed;
-    bool speed_offered;     /* whether a speed came before the first contact: */
-    uint8_t first_speed[8]; /* its bytes */
-    uint8_t first_speed_length;
+    struct ecu_offer first_speed;
 //: end
 //: if sensors
     struct ecu_sensor sensors[ECU_SENSORS];
@@ -75,9 +80,7 @@ struct ecu {
     uint16_t wanted_tick; /* its tick */
     real measured;      /* the feedback of this tick; NAN until it is accepted */
     uint32_t expected_us; /* when that should come */
-    bool offered;         /* whether a reference came before the first contact: */
-    uint8_t first[8];     /* its bytes */
-    uint8_t first_length;
+    struct ecu_offer first; /* a reference */
     uint8_t flow;    /* stages of this tick that were passed in order */
     uint32_t alive;  /* ticks with all stages in order since power-up, for a watchdog */
     uint32_t stalls; /* standstills of more than ECU_MOST_LATE_TICKS since power-up */
@@ -100,9 +103,9 @@ void ecu_save(struct ecu *ecu, struct knowledge_saved *saved);
 bool ecu_restore(struct ecu *ecu, const struct knowledge_saved *saved);
 
 /* Take in a frame that came at 'now_us'; whether it completes the tick, so that ecu_on_tick is due
- * at once.
+ * at once. 'id' is that of a struct frame.
  */
-bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data,
+bool ecu_on_frame(struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data,
                   uint32_t now_us);
 
 /* Whether the feedback is half a tick late: never before the first contact.
@@ -119,8 +122,10 @@ void ecu_on_tick(struct ecu *ecu);
 /* How long a tick is. */
 extern const uint32_t ecu_tick_us;
 
-/* Put a frame of a node on its bus: to be provided by the application. */
-void ecu_send(const struct ecu *ecu, uint16_t id, const uint8_t data[8]);
+/* Put a frame of a node on its bus: to be provided by the application. 'id' is that
+ * of a struct frame.
+ */
+void ecu_send(const struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data);
 
 #ifdef __cplusplus
 }

@@ -27,21 +27,22 @@ float rintf(float x)
     return Frama_C_nondet(0, 1) ? floorf(x) : ceilf(x);
 }
 
-void ecu_send(const struct ecu *sender, uint16_t id, const uint8_t data[8])
+void ecu_send(const struct ecu *sender, uint32_t id, uint8_t length, const uint8_t *data)
 {
     (void)sender;
     (void)id;
+    (void)length;
     (void)data;
 }
 
 int main(void)
 {
-    uint8_t data[8];
+    uint8_t data[FRAME_BYTES];
 
     (void)ecu_init(&ecu);
     while (Frama_C_nondet(0, 1)) {
-        const uint16_t id = (uint16_t)Frama_C_interval(0, 0x7FF);
-        const uint8_t length = (uint8_t)Frama_C_interval(0, 8);
+        const uint32_t id = Frama_C_unsigned_int_interval(0, UINT32_MAX);
+        const uint8_t length = (uint8_t)Frama_C_interval(0, FRAME_BYTES);
         const uint32_t now_us = Frama_C_unsigned_int_interval(0, UINT32_MAX);
 
         Frama_C_make_unknown((char *)data, sizeof data);

@@ -1,9 +1,7 @@
-/* The frames of a tick: the conversion between a value and the 8 bytes of its frame.
+/* The frames of a tick: the conversion between their content and their bytes.
  *
- * Bytes 0 and 1 are those of e2e.h, with mode and fault state in the high nibble of byte 1 of the
- * status; then 16 bits of the tick and 32 bits of the value, both with the low byte first. The
- * low four bits of the status's value are the verdict.
- * A value out of range saturates; not-a-number is sent as the one raw value outside every range.
+ * network.c has the frames, from the DBC: where each signal lies, its steps and its range. A value
+ * out of range saturates; not-a-number is sent as a raw value outside the range.
  */
 #ifndef FRAMES_H
 #define FRAMES_H
@@ -13,16 +11,44 @@
 
 #include "real.h"
 
+#define FRAME_BYTES {frame_bytes}u /* the most that a frame has */
+//: if extended
+#define FRAME_EXTENDED 0x80000000u /* in an identifier of 29 bits */
+//: end
+//: if fd
+#define FRAME_FD 0x40000000u /* in the identifier of a frame of CAN FD */
+//: end
+
+/* The content of a frame. */
+struct frame_content {
+    real value; /* in its unit; NAN: none */
+    uint32_t tick;
+    uint32_t mode; /* of a further sensor: whether the sample is valid */
+    uint32_t fault_state;
+    uint32_t verdict; /* of a further sensor: the tick of the sample */
+};
+
 /* What the DBC says of a frame. */
 struct frame {
-    uint16_t id;      /* 11-bit CAN identifier */
-    uint16_t data_id; /* for the CRC, never sent */
-    double lsb;       /* resolution of the value, in its unit */
+    uint32_t id;      /* CAN identifier, with its flags if any */
+    uint16_t data_id; /* for the CRC, never sent; 0: the frame is not protected */
+    uint8_t bytes;
+//: if steps
+    double lsb; /* resolution of the value, in its unit */
+    {word} lowest;   /* the range is -lowest..highest, in steps */
+    {word} highest;
+    {word} not_available; /* steps that stand for not-a-number */
+//: end
+//: if whole
     uint32_t steps_per_unit; /* 1/lsb, exactly */
-    int32_t raw_maximum;     /* the range is -raw_maximum..raw_maximum */
-    uint8_t mode_shift; /* where mode and fault state are in byte 1; 0: not in this frame */
-    uint8_t fault_state_shift;
-    uint8_t verdict_bits; /* below the value; 0: not in this frame */
+//: end
+//: if floats
+    double most; /* of a floating-point number: the range is -most..most */
+//: end
+    /* Write the content into a frame that is all zero; of a frame that is sent. */
+    void (*pack)(const struct frame *frame, const struct frame_content *content, uint8_t *data);
+    /* Read the content, except what the frame does not have; of a frame that is received. */
+    void (*unpack)(const struct frame *frame, const uint8_t *data, struct frame_content *content);
 };
 
 extern const struct frame frame_reference;
@@ -34,13 +60,19 @@ extern const struct frame frame_status;
 extern const struct frame frame_speed;
 //: end
 
-/* Write value and tick into a frame that is all zero. */
-void frame_pack(const struct frame *frame, real value, uint16_t tick, uint8_t data[8]);
+//: if steps
+/* A value from its steps, a two's complement; NAN for steps outside the range. */
+real frame_value(const struct frame *frame, {word} steps);
 
-/* The value of a frame, in its unit; NAN for a raw value outside the range. */
-real frame_value(const struct frame *frame, const uint8_t data[8]);
+//: end
+//: if divides
+/* The steps of a value, a two's complement. */
+{word} frame_steps(const struct frame *frame, real value);
 
-/* The tick of a frame. */
-uint16_t frame_tick(const uint8_t data[8]);
+//: end
+//: if whole
+/* The same where steps_per_unit has a number, without arithmetic in double. */
+{word} frame_whole_steps(const struct frame *frame, real value);
 
+//: end
 #endif

@@ -6,14 +6,16 @@ static uint8_t *sent_frames;
 static uint8_t frames;
 static uint32_t now;
 
-void ecu_send(const struct ecu *ecu, uint16_t id, const uint8_t data[8])
+void ecu_send(const struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data)
 {
     uint8_t *const place = &sent_frames[HARNESS_FRAME_BYTES * frames];
 
     (void)ecu;
-    place[0] = (uint8_t)(id & 0xFFu);
-    place[1] = (uint8_t)(id >> 8);
-    (void)memcpy(&place[2], data, 8);
+    for (uint32_t i = 0; i < 4u; i++) {
+        place[i] = (uint8_t)(id >> (8u * i) & 0xFFu);
+    }
+    place[4] = length;
+    (void)memcpy(&place[5], data, length);
     frames++;
 }
 
@@ -30,7 +32,7 @@ size_t harness_size(void)
     return sizeof(struct ecu);
 }
 
-uint8_t harness_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data,
+uint8_t harness_frame(struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data,
                       uint8_t *sent)
 {
     sent_frames = sent;

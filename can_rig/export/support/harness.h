@@ -6,7 +6,7 @@
 
 #include "ecu.h"
 
-#define HARNESS_FRAME_BYTES 10 /* two of the identifier, low byte first, and eight of data */
+#define HARNESS_FRAME_BYTES (5u + FRAME_BYTES) /* identifier, low byte first; length; data */
 #define HARNESS_MOST_FRAMES 3
 //: if hears
 #define HARNESS_RECEIVERS 3 /* the frames that a node receives */
@@ -26,7 +26,7 @@ bool harness_restart(struct ecu *ecu, bool state_survives);
  * sent: room for HARNESS_MOST_FRAMES frames.
  * Returns how many frames it has sent.
  */
-uint8_t harness_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data,
+uint8_t harness_frame(struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data,
                       uint8_t *sent);
 
 /* Let it be 'now_us', for the frames that follow too, and a node miss a feedback that is overdue.

@@ -36,10 +36,10 @@ bool driver_receive(struct driver_frame *frame)
     return true;
 }
 
-void driver_send(uint16_t id, const uint8_t data[8])
+void driver_send(uint16_t id, uint8_t length, const uint8_t *data)
 {
-    struct driver_frame frame = {.at_us = driver_now_us, .id = id, .length = 8};
+    struct driver_frame frame = {.at_us = driver_now_us, .id = id, .length = length};
 
-    (void)memcpy(frame.data, data, sizeof frame.data);
+    (void)memcpy(frame.data, data, length);
     (void)host_write(sent, &frame, sizeof frame);
 }

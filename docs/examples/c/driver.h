@@ -28,7 +28,7 @@ bool driver_step(void);
 /* The next frame that has come until now; whether there is one. */
 bool driver_receive(struct driver_frame *frame);
 
-void driver_send(uint16_t id, const uint8_t data[8]);
+void driver_send(uint16_t id, uint8_t length, const uint8_t *data);
 
 extern volatile uint32_t driver_now_us;
 

@@ -5,10 +5,10 @@
 
 static struct ecu ecu;
 
-void ecu_send(const struct ecu *sender, uint16_t id, const uint8_t data[8])
+void ecu_send(const struct ecu *sender, uint32_t id, uint8_t length, const uint8_t *data)
 {
     (void)sender;
-    driver_send(id, data);
+    driver_send((uint16_t)id, length, data);
 }
 
 int main(void)

@@ -14,10 +14,10 @@ static volatile uint32_t written, taken;
 static volatile bool running = true;
 static struct ecu ecu;
 
-void ecu_send(const struct ecu *sender, uint16_t id, const uint8_t data[8])
+void ecu_send(const struct ecu *sender, uint32_t id, uint8_t length, const uint8_t *data)
 {
     (void)sender;
-    driver_send(id, data);
+    driver_send((uint16_t)id, length, data);
 }
 
 static void catch_up(uint32_t now_us)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import get_args
 
@@ -14,10 +16,15 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import PYTHON
 from can_rig.controllers.protocol import Supplied
+from can_rig.export.application import application, in_precision
 from can_rig.export.boards import COMPILER, EMULATOR
-from can_rig.export.compiler import WARNINGS
+from can_rig.export.compiler import WARNINGS, built
+from can_rig.export.law import numbers_of, support
+from can_rig.export.network_code import NetworkCode
+from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
+from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import Precision
 
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
@@ -39,8 +46,54 @@ def run(*command: str | Path, **options: object) -> str:
 
 def log_of(name: str, settings: Sequence[str], controller: Supplied = PYTHON) -> bytes:
     """The log of a run with both nodes in this process."""
-    scenario, ended = load(name, settings), StopRequest()
+    return log_from(load(name, settings), controller)
+
+
+def log_from(scenario: Scenario, controller: Supplied = PYTHON) -> bytes:
+    """The same of a scenario."""
+    ended = StopRequest()
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "bus.log"
         run_in_process(scenario, "virtual:export", log, ended, lambda tick: None, controller)
         return log.read_bytes()
+
+
+FRAMES_DRIVER = """
+#include "ecu.h"
+static const struct frame *const frames[] = {&frame_reference, &frame_feedback, &frame_command_1,
+                                             &frame_command_2, &frame_status};
+void pack(int n, double value, uint32_t tick, uint32_t code, uint8_t *data)
+{
+    const struct frame_content content = {(real)value, tick, code & 3, code >> 2 & 3, code >> 4};
+    frames[n]->pack(frames[n], &content, data);
+}
+double unpack(int n, const uint8_t *data, uint32_t *tick)
+{
+    struct frame_content content = {0};
+    frames[n]->unpack(frames[n], data, &content);
+    *tick = content.tick;
+    return (double)content.value;
+}
+"""
+
+
+@cache
+def _headers(precision: Precision) -> dict[str, str]:
+    node = application(in_precision(load("default", []), precision))
+    return {name: text for name, text in node.items() if name.endswith(".h")}
+
+
+def frames_in_c(network: Network, precision: Precision) -> ctypes.CDLL:
+    """``pack`` and ``unpack`` of the frames of ``network``, by their place in it."""
+    code = NetworkCode(in_precision(load("default", []), precision), network)
+    words = {**numbers_of(precision), **code.texts}
+    files = {name: support(name, code.parts, **words) for name in ("frames.h", "frames.c")}
+    files = {**_headers(precision), **files, "network.c": code.source(), "code.c": FRAMES_DRIVER}
+    library = ctypes.CDLL(
+        str(built(["gcc"], ("-O1", "-std=c99", "-shared", "-fPIC"), files, ".so"))
+    )
+    library.pack.argtypes = [
+        ctypes.c_int, ctypes.c_double, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_void_p,
+    ]  # fmt: skip
+    library.unpack.restype = ctypes.c_double
+    return library

@@ -37,18 +37,17 @@ from can_rig.controllers.making import controller_of
 from can_rig.controllers.our_law import PYTHON, in_node
 from can_rig.controllers.protocol import WholeNode
 from can_rig.errors import ExportError
-from can_rig.export.application import application, identity
+from can_rig.export.application import ORDER_HEAD, application, identity
 from can_rig.export.boards import (
     BOARDS,
     COMPILER,
     EMULATOR,
-    ORDER_BYTES,
     firmware_image,
 )
 from can_rig.export.compiler import shared_library
 from can_rig.export.law import number_headers
 from can_rig.export.trials import random_frames
-from can_rig.frames.codec import Transmitter
+from can_rig.frames.codec import FRAME_BYTES, Transmitter
 from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
@@ -265,7 +264,9 @@ def test_single_precision_calls_no_double_arithmetic() -> None:
     of_law = {
         name: body
         for name, body in functions.items()
-        if name.startswith(("controller_", "biquad_", "mismatch_", "covariance_", "frame_pack"))
+        if name.startswith(
+            ("controller_", "biquad_", "mismatch_", "covariance_", "pack_", "frame_whole")
+        )
     }
     assert len(of_law) > 10
     for name, body in of_law.items():
@@ -292,14 +293,15 @@ SAVED_BYTES = record_type(Saved, "float64").itemsize
 DRIVER = """
 #include <stddef.h>
 #include "ecu.h"
-static void (*sender)(uint16_t, const uint8_t *);
-void set_sender(void (*called)(uint16_t, const uint8_t *)) { sender = called; }
-void ecu_send(const struct ecu *ecu, uint16_t id, const uint8_t *data) { sender(id, data); }
+static void (*sender)(uint32_t, const uint8_t *);
+void set_sender(void (*called)(uint32_t, const uint8_t *)) { sender = called; }
+void ecu_send(const struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data)
+{ sender(id, data); }
 size_t ecu_size(void) { return sizeof(struct ecu); }
 uint32_t ecu_alive(const struct ecu *ecu) { return ecu->alive; }
 uint32_t ecu_stalls(const struct ecu *ecu) { return ecu->stalls; }
 """
-Sender = ctypes.CFUNCTYPE(None, ctypes.c_uint16, ctypes.POINTER(ctypes.c_uint8))
+Sender = ctypes.CFUNCTYPE(None, ctypes.c_uint32, ctypes.POINTER(ctypes.c_uint8))
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -460,7 +462,9 @@ def test_a_board_that_is_silent_is_one_line(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_an_answer_that_is_none_is_one_line() -> None:
-    asked_for = f"head -c {ORDER_BYTES + 1} > /dev/null"  # what clears the line, and an order
+    asked_for = (
+        f"head -c {ORDER_HEAD + FRAME_BYTES + 1} > /dev/null"  # what clears the line, and an order
+    )
     with board("sh", "-c", f"{asked_for}; printf '%s' xxxxxxxxxxxxx; sleep 60") as port:
         ecu = BenchEcu(SerialLink(port))
         with pytest.raises(ExportError, match="sent 120 frames"):
@@ -475,7 +479,8 @@ def test_a_port_that_is_none_is_one_line(tmp_path: Path) -> None:
 
 
 FIRST, SECOND = (
-    f"    answer(ecu, {n}, &frame_command_{n}, &ecu->command_{n}, now.command_{n}, 0, 0);\n"
+    f"    content.value = now.command_{n};\n"
+    f"    answer(ecu, {n}, &frame_command_{n}, &ecu->command_{n}, &content);\n"
     for n in (1, 2)
 )
 

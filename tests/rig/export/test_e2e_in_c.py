@@ -14,45 +14,48 @@ from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.controllers.ecus import host_library
-from can_rig.export.application import in_precision
-from can_rig.frames.codec import USABLE, Checker, CheckStatus, MessageCodec, Protector
+from can_rig.export.network_code import SENT
+from can_rig.frames.codec import USABLE, Checker, CheckStatus, Protector
 from can_rig.scenario.build import network_of
 from firmware_model.law.structs import Precision
+from tests.rig.export.shared import frames_in_c
 
 SCENARIO = load("default", [])
 NETWORK = network_of(SCENARIO)
 
 
 @cache
-def c(precision: Precision = "float64") -> ctypes.CDLL:
+def c() -> ctypes.CDLL:
     """The node in C, for its functions."""
-    real = ctypes.c_float if precision == "float32" else ctypes.c_double
-    found = ctypes.CDLL(str(host_library(in_precision(SCENARIO, precision))))
+    found = ctypes.CDLL(str(host_library(SCENARIO)))
     found.e2e_check.restype = found.e2e_intact.restype = ctypes.c_bool
-    found.frame_value.restype = real
-    found.frame_tick.restype = ctypes.c_uint16
-    argtypes = [ctypes.c_void_p, real, ctypes.c_uint16, ctypes.c_void_p]
-    found.frame_pack.argtypes = argtypes
     return found
+
+
+@cache
+def frames(precision: Precision = "float64") -> ctypes.CDLL:
+    """What packs and unpacks."""
+    return frames_in_c(NETWORK, precision)
 
 
 class CheckerInC(ctypes.Structure):
     _fields_ = (
-        ("data_id", ctypes.c_uint16), ("known", ctypes.c_bool), ("last", ctypes.c_uint8),
+        ("data_id", ctypes.c_uint16), ("begun", ctypes.c_uint8), ("bytes", ctypes.c_uint8),
+        ("known", ctypes.c_bool), ("last", ctypes.c_uint8),
         ("window", ctypes.c_uint8), ("sync", ctypes.c_uint8),
         ("counts", ctypes.c_uint32 * len(CheckStatus)),
     )  # fmt: skip
 
 
 class ProtectorInC(ctypes.Structure):
-    _fields_ = (("data_id", ctypes.c_uint16), ("counter", ctypes.c_uint8))
+    _fields_ = (
+        ("data_id", ctypes.c_uint16),
+        ("begun", ctypes.c_uint8),
+        ("counter", ctypes.c_uint8),
+    )
 
 
-def definition(codec: MessageCodec, precision: Precision = "float64") -> int:
-    return ctypes.addressof(ctypes.c_char.in_dll(c(precision), f"frame_{codec.role}"))
-
-
-@given(data_id=st.integers(0, 0xFFFF), payloads=st.lists(st.binary(min_size=8, max_size=8)))
+@given(data_id=st.integers(1, 0xFFFF), payloads=st.lists(st.binary(min_size=8, max_size=8)))
 def test_protected_frames_are_those_of_the_library(data_id: int, payloads: list[bytes]) -> None:
     ours, protector = Protector(data_id), ProtectorInC()
     c().e2e_protector_init(ctypes.byref(protector), data_id)
@@ -60,7 +63,7 @@ def test_protected_frames_are_those_of_the_library(data_id: int, payloads: list[
         expected = bytearray(payload)
         ours.protect(expected)
         data = ctypes.create_string_buffer(payload, 8)
-        c().e2e_protect(ctypes.byref(protector), data)
+        c().e2e_protect(ctypes.byref(protector), data, 8)
         assert data.raw == bytes(expected)
 
 
@@ -75,12 +78,14 @@ EVENTS = st.one_of(
 @given(st.lists(EVENTS, max_size=60))
 def test_frames_are_judged_as_by_the_rig(events: list[tuple[str, int]]) -> None:
     ours, checker, counter = Checker(0x123), CheckerInC(), 0
-    c().e2e_checker_init(ctypes.byref(checker), 0x123)
+    c().e2e_checker_init(ctypes.byref(checker), 0x123, 8)
     for what, number in events:
         counter = (counter + 1) % 15 if what == "next" else number
-        protector = ProtectorInC(0x123, counter)
+        protector = ProtectorInC()
+        c().e2e_protector_init(ctypes.byref(protector), 0x123)
+        protector.counter = counter
         buffer = ctypes.create_string_buffer(bytes(range(8)), 8)
-        c().e2e_protect(ctypes.byref(protector), buffer)
+        c().e2e_protect(ctypes.byref(protector), buffer, 8)
         frame = bytearray(buffer.raw)
         assert e2e_p01_check(frame, 0x123) == (counter < 15)
         if "damaged" in what:
@@ -99,29 +104,39 @@ def test_frames_are_judged_as_by_the_rig(events: list[tuple[str, int]]) -> None:
         assert list(checker.counts) == list(ours.counts.values())
 
 
-@pytest.mark.parametrize("codec", list(NETWORK), ids=lambda codec: codec.role)
+SENT_FRAMES = pytest.mark.parametrize("at", [2, 3, 4], ids=SENT)
+
+
+def packed(
+    value: float, tick: int, at: int, precision: Precision = "float64"
+) -> tuple[bytes, bytes]:
+    """By C and by the rig."""
+    data, codec = ctypes.create_string_buffer(8), [*NETWORK][at]
+    frames(precision).pack(at, value, tick, 0, data)
+    return data.raw, bytes(codec.encode(value, tick))
+
+
+@SENT_FRAMES
 @given(
     value=st.one_of(st.floats(), st.integers(-(2**32), 2**32).map(lambda n: n * 0.5e-3),
                     st.integers(-(2**32), 2**32).map(lambda n: n * 0.5e-8)),
     tick=st.integers(0, 0xFFFF),
 )  # fmt: skip
-def test_values_are_packed_as_by_the_rig(codec: MessageCodec, value: float, tick: int) -> None:
-    data = ctypes.create_string_buffer(8)
-    c().frame_pack(definition(codec), value, tick, data)
-    assert data.raw == bytes(codec.encode(value, tick))
-    assert c().frame_tick(data) == tick
+def test_values_are_packed_as_by_the_rig(at: int, value: float, tick: int) -> None:
+    found, expected = packed(value, tick, at)
+    assert found == expected
 
 
-@pytest.mark.parametrize("codec", list(NETWORK), ids=lambda codec: codec.role)
-def test_the_ends_of_a_range_are_packed_as_by_the_rig(codec: MessageCodec) -> None:
+@SENT_FRAMES
+def test_the_ends_of_a_range_are_packed_as_by_the_rig(at: int) -> None:
+    codec = [*NETWORK][at]
     for end in (codec.minimum, codec.maximum, 0.0, math.nan):
         for value in (end, math.nextafter(end, math.inf), math.nextafter(end, -math.inf)):
-            data = ctypes.create_string_buffer(8)
-            c().frame_pack(definition(codec), value, 0, data)
-            assert data.raw == bytes(codec.encode(value, 0))
+            found, expected = packed(value, 0, at)
+            assert found == expected
 
 
-@pytest.mark.parametrize("codec", list(NETWORK), ids=lambda codec: codec.role)
+@SENT_FRAMES
 @given(
     value=st.one_of(
         st.floats(width=32),
@@ -130,17 +145,15 @@ def test_the_ends_of_a_range_are_packed_as_by_the_rig(codec: MessageCodec) -> No
         st.integers(-(2**31), 2**31).map(lambda n: float(np.float32(n * 1e-8))),
     )
 )
-def test_single_precision_is_packed_without_double_as_by_the_rig(
-    codec: MessageCodec, value: float
-) -> None:
-    data = ctypes.create_string_buffer(8)
-    c("float32").frame_pack(definition(codec, "float32"), value, 7, data)
-    assert data.raw == bytes(codec.encode(value, 7))
+def test_single_precision_is_packed_without_double_as_by_the_rig(at: int, value: float) -> None:
+    found, expected = packed(value, 7, at, "float32")
+    assert found == expected
 
 
-@pytest.mark.parametrize("codec", list(NETWORK), ids=lambda codec: codec.role)
+@pytest.mark.parametrize("at", [0, 1])
 @given(data=st.binary(min_size=8, max_size=8))
-def test_bytes_are_read_as_by_the_rig(codec: MessageCodec, data: bytes) -> None:
-    expected = codec.decode(data).value
-    found = c().frame_value(ctypes.c_void_p(definition(codec)), data)
-    assert found == expected or (math.isnan(found) and math.isnan(expected))
+def test_bytes_are_read_as_by_the_rig(at: int, data: bytes) -> None:
+    expected, tick = [*NETWORK][at].decode(data), ctypes.c_uint32()
+    found = frames().unpack(at, data, ctypes.byref(tick))
+    assert tick.value == expected.tick
+    assert found == expected.value or (math.isnan(found) and math.isnan(expected.value))

@@ -24,6 +24,7 @@ from can_rig.export.evidence import NEEDS
 from can_rig.export.findings import COMPILERS, Coverage, alarms, coverage, findings, misra
 from can_rig.export.provenance import MANIFEST
 from can_rig.plant.frameless import controller_inputs
+from can_rig.scenario.build import network_of
 from firmware_model.law.layout import state_type, table_type
 from firmware_model.law.schedule import Constants, State
 from firmware_model.law.structs import record_type
@@ -188,8 +189,8 @@ def test_two_counters_count_the_same() -> None:
     by_file = instructions_by_file(law, "m4f", inputs)
     assert by_file["turn.c"] == pytest.approx(1000, abs=5)
     assert sum(by_file.values()) == pytest.approx(instructions(law, "m4f", inputs).mean(), rel=0.01)
-    found = evidence._instructions(node, "m4f", {"own": inputs})
-    counts = instructions(node, "m4f", inputs)
+    found = evidence._instructions(SCENARIO, "m4f", {"own": inputs})
+    counts = instructions(node, "m4f", inputs, network_of(SCENARIO))
     assert sum(found["mean of each part"].values()) == pytest.approx(counts.mean(), rel=0.01)
     worst = found["node"]["own"]
     assert counts[worst["tick of the worst"]] == counts.max()

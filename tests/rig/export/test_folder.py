@@ -163,7 +163,7 @@ def test_a_program_in_cpp_links_it(folder: Path, tmp_path: Path) -> None:
         pytest.skip("no C++ compiler is installed")
     (tmp_path / "app.cc").write_text(
         '#include "ecu.h"\n'
-        'extern "C" void ecu_send(const struct ecu *, uint16_t, const uint8_t *) {}\n'
+        'extern "C" void ecu_send(const struct ecu *, uint32_t, uint8_t, const uint8_t *) {}\n'
         "static struct ecu node;\n"
         "int main() { ecu_init(&node); return ecu_is_overdue(&node, 0); }\n"
     )

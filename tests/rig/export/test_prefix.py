@@ -29,17 +29,19 @@ static struct front_ecu front, second;
 static struct rear_2_ecu rear;
 static int sent[3];
 
-void front_ecu_send(const struct front_ecu *ecu, uint16_t id, const uint8_t data[8])
+void front_ecu_send(const struct front_ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data)
 {
     (void)id;
+    (void)length;
     (void)data;
     sent[ecu == &front ? 0 : 1]++;
 }
 
-void rear_2_ecu_send(const struct rear_2_ecu *ecu, uint16_t id, const uint8_t data[8])
+void rear_2_ecu_send(const struct rear_2_ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data)
 {
     (void)ecu;
     (void)id;
+    (void)length;
     (void)data;
     sent[2]++;
 }

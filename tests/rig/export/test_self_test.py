@@ -16,11 +16,12 @@ from can_rig.controllers.ecus import HostEcu, host_library
 from can_rig.errors import ExportError
 from can_rig.export import boards
 from can_rig.export.application import application, bench, identity
-from can_rig.export.boards import RESTART, emulated, image_of
+from can_rig.export.boards import RESTART, emulated, image_of, order
 from can_rig.export.compiler import built as compiled
 from can_rig.export.law import support
 from can_rig.export.self_test import LOST, RESTARTED, known_answers
 from can_rig.export.trials import as_orders, on_host
+from can_rig.frames.codec import FRAME_BYTES
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
 from can_rig.scenario.settings import Scenario
@@ -132,7 +133,7 @@ def test_a_board_with_fused_operations_is_kept_from_them_or_refused(
     image = image_of(files, "board_ecu.c", "m4f")
     code = run("arm-none-eabi-objdump", "-d", image)
     assert ("vfma" in code) is not rounds
-    said = emulated(image, "m4f", {"orders": RESTART}, "answers")
+    said = emulated(image, "m4f", {"orders": order(RESTART, FRAME_BYTES)}, "answers")
     assert said == (identity(node) if rounds else bytes(8))
 
 
