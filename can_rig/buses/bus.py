@@ -87,9 +87,10 @@ class NodeSocketcanBus(can.BusABC):
             self._buses[1].socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_JOIN_FILTERS, 1)
         for bus in self._buses:
             _widen(bus.socket)
-            for _ in range(_STALE_MAX):  # received before the filters were set
-                if bus.recv(0) is None:
-                    break
+            with contextlib.suppress(can.CanError):  # down again: whoever sends or waits says so
+                for _ in range(_STALE_MAX):  # received before the filters were set
+                    if bus.recv(0) is None:
+                        break
         self._dropped_before = self._dropped()
         super().__init__(channel=self.channel)
 

@@ -39,7 +39,14 @@ from can_rig.frames.comparison_frames import (
     digest,
 )
 from can_rig.frames.network import EXTENDED_FLAG
-from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Clock, NodeBus, PersistentSender
+from can_rig.nodes.bus_access import (
+    NS_PER_S,
+    SYSTEM_CLOCK,
+    Clock,
+    NodeBus,
+    PersistentSender,
+    TolerantBus,
+)
 from can_rig.scenario.build import network_of
 from can_rig.scenario.plant_settings import FMU
 from can_rig.scenario.settings import LISTS, Scenario
@@ -251,13 +258,14 @@ def require_alone(scenario: Scenario, bus_name: str) -> None:
     comparison = [ComparisonFrame(each).frame_id for each in SENDERS]
     with open_for_node(bus_name, (*network.identifiers, *comparison), False, network.fd) as bus:
         kinds = [Agreement(scenario, name, bus, SYSTEM_CLOCK) for name in SENDERS]
+        hearing = TolerantBus(bus, SYSTEM_CLOCK)
         begin_ns, wait_s = SYSTEM_CLOCK.now_ns(), ANSWERED_S
         while (left_s := wait_s - (SYSTEM_CLOCK.now_ns() - begin_ns) / NS_PER_S) > 0:
             for kind in kinds:
                 kind.ask()
             pause_ns = SYSTEM_CLOCK.now_ns() + round(min(left_s, ASK_AGAIN_S) * NS_PER_S)
             while (pause_s := (pause_ns - SYSTEM_CLOCK.now_ns()) / NS_PER_S) > 0:
-                frame = bus.recv(pause_s)
+                frame = hearing.recv(pause_s)
                 if frame is None or any(kind.hears_its_kind(frame) for kind in kinds):
                     continue
                 if (

@@ -15,7 +15,7 @@ from can_rig.errors import BusError, RigError, one_line
 from can_rig.frames import operator_frames
 from can_rig.frames.network import Network
 from can_rig.logs.frames import EXTENDED, Frames
-from can_rig.nodes.bus_access import NodeBus
+from can_rig.nodes.bus_access import SYSTEM_CLOCK, NodeBus, TolerantBus
 from can_rig.plant.faults.injection import FAULT_ACTIONS, Injection, require_possible
 from can_rig.scenario.settings import Scenario
 
@@ -136,7 +136,8 @@ def operate(bus: can.BusABC, name: str, command: operator_frames.Command) -> Non
         RigError: no plant node there obeys commands, or the plant node refuses ``command``.
     """
     require_possible(command)
-    state, is_silent = _state(bus)
+    hearing = TolerantBus(bus, SYSTEM_CLOCK)
+    state, is_silent = _state(hearing)
     if state is None:
         raise RigError(
             f"bus {name}: silent; no nodes run there, or they have another bus (--bus)"
@@ -153,7 +154,7 @@ def operate(bus: can.BusABC, name: str, command: operator_frames.Command) -> Non
         raise BusError(f"bus {name}: {one_line(error)}") from error
     end_s = time.monotonic() + WITHIN_S
     while time.monotonic() < end_s:
-        after, _ = _state(bus)
+        after, _ = _state(hearing)
         if after is None:
             break
         if after.next_sequence != state.next_sequence:
@@ -165,7 +166,7 @@ def operate(bus: can.BusABC, name: str, command: operator_frames.Command) -> Non
     raise RigError(f"bus {name}: the plant node did not answer within {WITHIN_S:g} s")
 
 
-def _state(bus: can.BusABC) -> tuple[operator_frames.State | None, bool]:
+def _state(bus: TolerantBus) -> tuple[operator_frames.State | None, bool]:
     """The next state of a plant node (None after a timeout), and whether the bus is silent."""
     frame_id, is_silent = operator_frames.identifiers().state, True
     end_s = time.monotonic() + WITHIN_S

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -41,7 +42,7 @@ from can_rig.nodes.operating import OperatedBus
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
 from can_rig.nodes.recording import PlantRecorder, RealTimeRecorder, Recorder, is_stream
-from can_rig.nodes.scheduling import prefer, undisturbed
+from can_rig.nodes.scheduling import preferred, undisturbed
 from can_rig.nodes.ticks import NodeSummary, timed
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
@@ -251,7 +252,9 @@ def _access(opened: NodeBus, options: RunOptions) -> Access:
     if options.real_time:
         tolerant = TolerantBus(opened, SYSTEM_CLOCK)
         return Access(tolerant, tolerant.send, tolerant.errors, None)
-    sender = PersistentSender(opened, options.timeouts.silence_s, SYSTEM_CLOCK)
+    silence_s = options.timeouts.silence_s  # unlimited for a paused partner, not for a bus
+    patience_s = silence_s if silence_s < math.inf else DEFAULT_TIMEOUTS.silence_s
+    sender = PersistentSender(opened, patience_s, SYSTEM_CLOCK)
     inner = opened.bus if isinstance(opened, Agreement) else opened
     local = inner if isinstance(inner, LocalBus) and options.bursts else None
     return Access(opened, sender, sender.errors, local)
@@ -284,10 +287,9 @@ def _run(
     options: RunOptions,
 ) -> NodeSummary:
     """Run the node's loop with the required process settings."""
-    carry, realtime = partial(node.carry, watchdog), None
-    if options.real_time:
-        realtime = {"scheduling": {name: prefer(CORES[name])}}
-    meanwhile = undisturbed() if options.real_time else None
-    summary = timed(carry, node.ticks, on_tick, meanwhile)
-    summary.rejected_frames, summary.realtime = node.rejected(), realtime
+    carry, of_clock = partial(node.carry, watchdog), options.real_time
+    with preferred(CORES[name]) if of_clock else nullcontext("") as scheduling:
+        summary = timed(carry, node.ticks, on_tick, undisturbed() if of_clock else None)
+    summary.rejected_frames = node.rejected()
+    summary.realtime = {"scheduling": {name: scheduling}} if of_clock else None
     return summary

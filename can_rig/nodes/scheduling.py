@@ -8,7 +8,7 @@ import os
 import resource
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -45,13 +45,22 @@ _MCL_ONFAULT = 4  # in use: locking all mapped memory would take three times as 
 _SLACK = Path("/proc/self/timerslack_ns")
 
 
-def prefer(core: int) -> str:
-    """Ask for real-time scheduling of this thread and its future threads; returns the result.
+@contextmanager
+def preferred(core: int) -> Iterator[str]:
+    """Real-time scheduling of this thread and its future threads; one line with the result.
 
     SCHED_FIFO with core number ``core`` of the permitted cores (counted from the last), memory
-    that is never paged out, timers without slack. The result is one line with reasons for refusals.
+    that is never paged out, timers without slack; the line has reasons for refusals. Whatever takes
+    long comes before and after the priority, because another node on the core waits meanwhile: a
+    search for garbage, locked memory, the end of the process.
     """
-    return "; ".join((*_first_on_its_core(core), _locked(), *_no_slack()))
+    gc.collect()
+    locked = _locked()
+    try:
+        yield "; ".join((*_first_on_its_core(core), locked, *_no_slack()))
+    finally:
+        with suppress(AttributeError, OSError):
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def _first_on_its_core(core: int) -> Iterator[str]:
@@ -103,7 +112,6 @@ def undisturbed() -> Iterator[None]:
     """
     interval_s = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    gc.collect()
     gc.freeze()
     gc.disable()
     try:

@@ -1,12 +1,15 @@
 """SocketCAN under the nodes: what crowds, refuses or breaks, on a real kernel."""
 
 import subprocess
+import sys
 import threading
 
+import can
 import pytest
 from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
+from can_rig.buses import bus as opening
 from can_rig.buses.bus import open_bus, open_for_node
 from can_rig.cli.main import main
 from can_rig.controllers.our_law import PYTHON
@@ -235,6 +238,32 @@ def test_a_node_that_only_listens_says_that_the_interface_is_down(own_can):
         with pytest.raises(BusLostError, match=f"down for 0.3 s: sudo ip link set up {own_can}"):
             watchdog.receive(7)
     assert watchdog.errors == {"Error receiving: Network is down [Error Code 100]": 1}
+
+
+def test_an_interface_that_falls_while_a_node_opens_it_is_no_traceback(own_can, monkeypatch):
+    monkeypatch.setattr(opening, "_widen", lambda _: set_link("down", own_can))
+    with open_for_node(f"socketcan:{own_can}", [0x100], False) as bus:
+        with pytest.raises(BusLostError, match="has been down"):
+            PersistentSender(bus, 0.01, SYSTEM_CLOCK)(can.Message(arbitration_id=0x100))
+        set_link("up", own_can)
+
+
+@pytest.mark.parametrize("words", [("--pace", "50"), ("--injectable",)], ids=" ".join)
+def test_a_paced_run_whose_interface_stays_away_ends_in_one_line(words, own_can, tmp_path):
+    command = [sys.executable, "-m", "can_rig", "run", "thesis-step", "--allow-unstable"]
+    place = ["--bus", f"socketcan:{own_can}", "--out", str(tmp_path / "run")]
+    long = ["--set", "duration_s=2000", "--set", "fault.kind=none"]
+    with subprocess.Popen(
+        [*command, *place, *long, *words], stderr=subprocess.PIPE, text=True
+    ) as running:
+        with open_bus(f"socketcan:{own_can}") as bus:
+            assert all(bus.recv(60.0) is not None for _ in range(500))
+        set_link("down", own_can)
+        _, said = running.communicate(timeout=60)
+    set_link("up", own_can)
+    assert running.returncode == BusLostError.exit_status
+    assert said.count("\n") == 1, said
+    assert f"the interface has been down for 1 s: sudo ip link set up {own_can}" in said
 
 
 def test_before_the_run_one_line_and_its_recipe(own_can, tmp_path):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 import pytest
 
-from can_rig.nodes.scheduling import one_core
+from can_rig.nodes import scheduling
+from can_rig.nodes.scheduling import one_core, preferred
 
 CORES = {2, 5, 9}
 
@@ -56,3 +58,20 @@ def test_where_the_system_has_no_such_calls_nothing_is_done(
     with one_core():
         assert system.told == []
     assert system.told == []
+
+
+def test_what_takes_long_happens_without_the_priority(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another node of the same core would wait meanwhile: 59 ms without commands, once."""
+    seen: list[object] = []
+    monkeypatch.setattr(gc, "collect", lambda: seen.append("searched"))
+    monkeypatch.setattr(scheduling, "_locked", lambda: seen.append("locked") or "memory locked")
+    monkeypatch.setattr(os, "sched_setaffinity", lambda *_: None)
+    monkeypatch.setattr(
+        os, "sched_setscheduler", lambda _, policy, at: seen.append((policy, at.sched_priority))
+    )
+    with pytest.raises(KeyError), preferred(0) as said:
+        assert said.startswith("SCHED_FIFO 50; core ")
+        assert seen == ["searched", "locked", (os.SCHED_FIFO, 50)]
+        seen.clear()
+        raise KeyError
+    assert seen == [(os.SCHED_OTHER, 0)]
