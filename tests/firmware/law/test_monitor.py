@@ -310,7 +310,7 @@ def test_the_law_goes_on_without_the_force_difference(latency: int) -> None:
 
 
 def flipped(monitor: bool) -> FloatArray:
-    """Largest |y| of cars whose law loses one bit of its memory each: of every other, a used one."""
+    """Largest |y| of cars whose law loses one bit of its memory each: every other, a used one."""
     random = np.random.default_rng(1)
     table = build(DESIGN, replace(TARGET, monitor=monitor))
     tables, states = np.repeat(np.asarray(table).reshape(1), FLIPS), controller.init(table, FLIPS)
