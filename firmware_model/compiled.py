@@ -11,6 +11,7 @@ import hashlib
 import inspect
 import os
 import re
+import uuid
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -18,8 +19,15 @@ from typing import Any, TypeVar, cast
 
 from numba import njit
 from numba.core import config, event
+from numba.core.bytecode import FunctionIdentity
 
 Function = TypeVar("Function", bound=Callable[..., object])
+
+# Numba numbers functions and record types from 1 on in each process, and names code by the numbers.
+# Then code that two processes cache for two types has one name, and a third process that loads both
+# runs the one for the other (numba's issue 10486).
+_identity: Any = FunctionIdentity
+_identity._unique_ids = iter(lambda: uuid.uuid4().int >> 64, None)
 
 
 _IMPORT = re.compile(
@@ -138,8 +146,20 @@ def _compiled(function: Function, *, allocates: bool, nogil: bool = False) -> Fu
     # _nrt: numba's option, absent from numba's type hints
     options: dict[str, Any] = {"error_model": "numpy", "nogil": nogil, "_nrt": allocates}
     try:
-        return cast(Function, njit(cache=True, **options)(function))
+        made: Any = njit(cache=True, **options)(function)
+        _name_apart(made)
     except RuntimeError:  # no folder for the cache
-        return cast(Function, njit(cache=False, **options)(function))
+        made = njit(cache=False, **options)(function)
     finally:
         settings.CACHE_DIR = before
+    return cast(Function, made)
+
+
+def _name_apart(function: Any) -> None:
+    """Give each file of compiled code another name.
+
+    Numba counts the files of a function: two processes that compile the function at the same time
+    for different types write the same file, and the code for one type runs on the other.
+    """
+    if hasattr(function, "_cache"):  # compiled, not interpreted
+        function._cache._cache_file._data_name = lambda _number: f"{uuid.uuid4().hex}.nbc"

@@ -101,6 +101,7 @@ class NetworkCode:
         self._scenario, self._network = scenario, network
         self._sensors = sensors_of(scenario, network)
         frames = (*network.by_role, *(codec for _, codec, _ in self._sensors))
+        self._frames = frames
         for codec in frames:
             if codec.float_format and codec.float_format not in FLOATS:
                 raise ExportError(
@@ -132,8 +133,7 @@ class NetworkCode:
 
     def source(self) -> str:
         """``network.c``: the frames, and the period."""
-        scenario, network = self._scenario, self._network
-        frames = (*network.by_role, *(codec for _, codec, _ in self._sensors))
+        scenario, frames = self._scenario, self._frames
         lines = [*comment(f"The frames of {dbc_of(scenario).name}."), '#include "ecu.h"']
         if "floats" in self.parts:
             lines += ["", "#include <string.h>"]
@@ -145,7 +145,7 @@ class NetworkCode:
         for codec in frames:
             lines += ["", *comment(f"{codec.name}: {signal_comment(codec)}")]
             lines += self._pack(codec) if _is_sent(codec) else self._unpack(codec)
-        for codec in network.by_role:
+        for codec in self._network.by_role:
             lines += ["", f"const struct frame frame_{codec.role} = {{"]
             lines += [f"    {each}" for each in self._numbers(codec)] + ["};"]
         if self._sensors:

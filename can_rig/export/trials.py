@@ -57,6 +57,11 @@ NODE_TICKS = 60
 VALUES = (-2.0, 2.0)
 SPEEDS = (-5.0, 50.0)  # m/s: within the designs' range and outside
 STANDSTILLS = 0.01  # of all ticks
+INDICES = (
+    *(("estimator", f"{name}_index{end}") for name, end in
+      (("delay", ""), ("dead", "_1"), ("dead", "_2"), ("shown", "_1"), ("shown", "_2"))),
+    ("echoes", "index"), ("witness", "index"), ("mismatch.covariance", "first"),
+)  # fmt: skip
 LAST_TICKS = 65530  # the 16 bits of the tick end soon
 
 
@@ -249,7 +254,7 @@ def random_table(
 def random_state(
     random: np.random.Generator, table: Any, precision: Precision, even: bool = False
 ) -> RecordArray:
-    """A state for ``table``, shape (1,), with indices that exist."""
+    """A state for ``table``, shape (1,); of a few an index lies outside its array."""
     states = np.zeros(1, state_type(precision))
     state: Any = states[0]
     fill(random, states[0], precision, even)
@@ -285,6 +290,12 @@ def random_state(
     state.takeover.elapsed = random.integers(0, 9)
     state.mismatch.covariance.first = random.choice([0, LOSS_STATES])
     state.mismatch.covariance.variances[:] = abs(state.mismatch.covariance.variances)
+    if random.random() < 0.1:
+        where, index = random.choice(INDICES)
+        of: Any = state
+        for name in where.split("."):
+            of = of[name]
+        of[index] = random.choice([-1, 2**7, 2**30, -(2**31)])
     return states
 
 

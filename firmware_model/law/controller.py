@@ -87,7 +87,7 @@ from firmware_model.law.supervision.other_cars import (
     advance_other_cars,
     settle_other_cars,
 )
-from firmware_model.law.supervision.overflow import clear_memories
+from firmware_model.law.supervision.overflow import clear_memories, repair
 from firmware_model.law.supervision.prediction import (
     clear_prediction,
     distrust,
@@ -167,6 +167,7 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         reference: r, in the measurement's unit, in any precision.
         measurement: y (D*), likewise.
     """
+    repair(table, state)
     r, y = real(reference, state.reference), real(measurement, state.measurement)
     told = math.isfinite(r)
     frozen = state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement
@@ -376,6 +377,7 @@ def reset(table: Table, state: State, reference: float) -> None:
     The next ``step`` with the same reference and the settled measurement repeats the commands: no
     bump.
     """
+    repair(table, state)
     state.saved.fingerprint = 0
     state.reference = reference
     settle_loop(table, state, state.reference)

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Annotated
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SECTIONS, FloatArray, RecordArray, Struct
+from firmware_model.law.supervision.overflow import is_damaged
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
@@ -109,7 +110,7 @@ def change_speed(
     if table.witness.longest > 0:
         table.witness.speed = v
     place = place_of(schedule, v)
-    if place == own.place:
+    if place == own.place or is_damaged(state):
         return
     move(schedule, own, table, state, place)
     own.place = place

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections import defaultdict
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numba.core import config, event
+from numba.core.caching import IndexDataCacheFile
 from numba.core.errors import NumbaError
 
 from firmware_model import compiled
@@ -119,3 +122,57 @@ def test_who_waits_for_the_law_to_be_compiled_is_told(monkeypatch: pytest.Monkey
     monkeypatch.setattr(os, "getpid", lambda: -1)  # a forked process
     compile_one(law)
     assert told == [1]
+
+
+def test_code_for_two_types_compiled_at_once_is_not_mixed_up(tmp_path: Path) -> None:
+    """The order of two processes that lets numba put the code for one type in place of the other's.
+
+    Both have read an index without entries; the first writes its code last.
+    """
+    first, second = (IndexDataCacheFile(str(tmp_path), "function", "stamp") for _ in range(2))
+    for file in (first, second):
+        compiled._name_apart(SimpleNamespace(_cache=SimpleNamespace(_cache_file=file)))
+    late: list[tuple[str, str]] = []
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setattr(first, "_save_data", lambda name, code: late.append((name, code)))
+        first.save("float64", "code for float64")
+    (tmp_path / "function.nbi").unlink()
+    second.save("float32", "code for float32")
+    first._save_data(*late[0])
+    assert second.load("float32") == "code for float32"
+
+
+MODULE = """
+import sys
+import numpy as np
+from firmware_model.compiled import firmware
+
+@firmware
+def double(state):
+    state.value += state.value
+
+for real in sys.argv[1:]:
+    states = np.full(1, 21, [("before", real), ("value", real), ("after", real)])
+    double(states[0])
+    assert states.item() == (21, 42, 21)
+for code in double.overloads.values():
+    print(code.fndesc.mangled_name)
+"""
+
+
+@pytest.mark.compiled
+def test_code_that_two_processes_have_cached_for_two_types_has_two_names(tmp_path: Path) -> None:
+    """A process that loads both would run the one for the other."""
+    (tmp_path / "two_types.py").write_text(MODULE)
+    folders = {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+
+    def names(*reals: str) -> list[str]:
+        command = [sys.executable, str(tmp_path / "two_types.py"), *reals]
+        done = subprocess.run(
+            command, env=os.environ | folders, capture_output=True, text=True, check=True
+        )
+        return done.stdout.split()
+
+    (double,), (single,) = names("f8"), names("f4")
+    assert double != single
+    assert names("f4", "f8") == [single, double]

@@ -62,13 +62,15 @@ bool ecu_restore(struct ecu *ecu, const struct knowledge_saved *saved)
     return firmware_restore(&ecu->state, saved);
 }
 
-/* The content of a frame of the right length. A frame without a tick is of 'tick'. */
-static struct frame_content content_of(const struct frame *frame, uint32_t tick,
+/* The content of a frame; of one of the wrong length nothing. A frame without a tick is of 'tick'. */
+static struct frame_content content_of(const struct frame *frame, uint32_t tick, uint8_t length,
                                        const uint8_t *data)
 {
     struct frame_content content = {.tick = tick};
 
-    frame->unpack(frame, data, &content);
+    if (length == frame->bytes) {
+        frame->unpack(frame, data, &content);
+    }
     return content;
 }
 
@@ -76,12 +78,10 @@ static struct frame_content content_of(const struct frame *frame, uint32_t tick,
 static bool receive(struct ecu_receiver *receiver, const struct frame *frame, uint16_t tick,
                     uint8_t length, const uint8_t *data, struct frame_content *content)
 {
-    if (length == frame->bytes) {
-        *content = content_of(frame, tick, data);
-        if (content->tick == tick) {
-            receiver->judged = true;
-            return e2e_check(&receiver->checker, data, length);
-        }
+    *content = content_of(frame, tick, length, data);
+    if (length == frame->bytes && content->tick == tick) {
+        receiver->judged = true;
+        return e2e_check(&receiver->checker, data, length);
     }
     e2e_reject(&receiver->checker, data, length);
     return false;
@@ -215,12 +215,12 @@ static bool first_contact(struct ecu *ecu, uint32_t id, uint8_t length, const ui
 //: end
     if (id != frame_feedback.id || !ecu->first.there ||
         !e2e_intact(&ecu->feedback.checker, data, length) ||
-        content_of(&frame_feedback, 0, data).tick !=
-            content_of(&frame_reference, 0, ecu->first.data).tick) {
+        content_of(&frame_feedback, 0, length, data).tick !=
+            content_of(&frame_reference, 0, ecu->first.length, ecu->first.data).tick) {
         return false;
     }
     ecu->running = true;
-    ecu->tick = (uint16_t)content_of(&frame_feedback, 0, data).tick;
+    ecu->tick = (uint16_t)content_of(&frame_feedback, 0, length, data).tick;
     take_reference(ecu, ecu->first.length, ecu->first.data);
 //: if hears
     if (ecu->first_speed.there) {

@@ -111,5 +111,11 @@ def start(own: State) -> None:
     """The onset is now."""
     own.explained[:] = 0.0
     own.white.memory[:] = 0.0
+    count_anew(own)
+
+
+@firmware
+def count_anew(own: State) -> None:
+    """Only later ticks are evidence of a fault whose onset stays."""
     own.age = own.correlation = own.information = 0.0
     own.size_now = own.foretold = own.evidence = 0.0

@@ -9,6 +9,7 @@ from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
 from firmware_model.law.structs import RecordArray
 from firmware_model.law.supervision.echoes import KEPT_TICKS, take_echo
+from firmware_model.law.supervision.overflow import is_damaged
 from firmware_model.law.supervision.witness import take_sample
 
 if TYPE_CHECKING:
@@ -28,7 +29,8 @@ def hear(table: Table, state: layout.State, sensor: float, value: float, age_tic
         age_ticks: ticks since the sample; below ``KEPT_TICKS``, or the sample is ignored.
     """
     sample, age = real(value, state.command_1), real(age_ticks, state.command_1)
-    if not (math.isfinite(sample) and age >= 0.0 and age < real(KEPT_TICKS, age)):
+    kept = age >= 0.0 and age < real(KEPT_TICKS, age)
+    if not (math.isfinite(sample) and kept) or is_damaged(state):
         return
     if sensor == 1.0:
         take_echo(table.echoes, state.echoes, state.echoes.channel_1, sample, age)

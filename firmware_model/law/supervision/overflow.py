@@ -1,4 +1,4 @@
-"""Recovery of the memories after an overflow: a lost number must not stay lost."""
+"""Recovery of the memories: a lost number must not stay lost, a damaged index reaches nothing."""
 
 from __future__ import annotations
 
@@ -7,13 +7,20 @@ from typing import TYPE_CHECKING
 
 from firmware_model.compiled import firmware
 from firmware_model.law.core.biquad import output
-from firmware_model.law.core.estimator import clear_estimator, model_output
+from firmware_model.law.core.estimator import (
+    clear_estimator,
+    model_output,
+    settle_estimator,
+)
 from firmware_model.law.core.reference_shaper import start
 from firmware_model.law.core.shortfall import make_up
 from firmware_model.law.core.tracking import missing_output
 from firmware_model.law.precision import real
+from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SHOWN_TICKS
 from firmware_model.law.supervision.bumpless_transfer import release
+from firmware_model.law.supervision.covariance import LOSS_STATES
 from firmware_model.law.supervision.decision import CLEAR, compensated_output
+from firmware_model.law.supervision.echoes import KEPT_TICKS
 from firmware_model.law.supervision.likelihood_ratio import start_candidate
 from firmware_model.law.supervision.loss_model import clear_loss_model
 from firmware_model.law.supervision.mismatch import clear_mismatch
@@ -48,6 +55,41 @@ def clear_memories(table: Table, state: State) -> None:
     settle_witness(state.witness, real(0.0, state.command_1))
     clear_prediction(state.prediction)
     end_takeover(state.takeover)
+
+
+@firmware
+def is_damaged(state: State) -> bool:
+    """Whether an index lies outside its array: no tick leaves it so, but a flipped bit does."""
+    own = state.estimator
+    late = outside(own.delay_index, MAX_LATENCY_TICKS)
+    dead_1 = outside(own.dead_index_1, MAX_LATENCY_TICKS)
+    dead_2 = outside(own.dead_index_2, MAX_LATENCY_TICKS)
+    shown_1 = outside(own.shown_index_1, MAX_SHOWN_TICKS)
+    shown_2 = outside(own.shown_index_2, MAX_SHOWN_TICKS)
+    echoes = outside(state.echoes.index, KEPT_TICKS)
+    witness = outside(state.witness.index, KEPT_TICKS)
+    covariance = outside(state.mismatch.covariance.first, LOSS_STATES + 1)
+    rings: bool = late or dead_1 or dead_2 or shown_1 or shown_2
+    return rings or echoes or witness or covariance
+
+
+@firmware
+def outside(index: int, size: int) -> bool:
+    """Whether an array of ``size`` numbers has no number at ``index``."""
+    return index < 0 or index >= size
+
+
+@firmware
+def repair(table: Table, state: State) -> None:
+    """A damaged state trusts nothing but its commands, as if they had stood for long."""
+    if not is_damaged(state):
+        return
+    one, two = state.command_1, state.command_2
+    settle_estimator(table.estimator, state.estimator, one, two, real(0.0, one))
+    clear_models(state)
+    state.echoes.index = state.witness.index = 0
+    state.mismatch.covariance.first = LOSS_STATES
+    clear_memories(table, state)
 
 
 @firmware

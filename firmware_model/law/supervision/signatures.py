@@ -17,6 +17,7 @@ from firmware_model.compiled import firmware
 from firmware_model.law.core import biquad
 from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.precision import real
+from firmware_model.law.status import Verdict
 from firmware_model.law.structs import Struct
 from firmware_model.law.supervision.candidate import (
     Constants as CandidateConstants,
@@ -27,12 +28,15 @@ from firmware_model.law.supervision.candidate import (
 from firmware_model.law.supervision.candidate import (
     State as CandidateState,
 )
-from firmware_model.law.supervision.candidate import has_failed, start, take_in
+from firmware_model.law.supervision.candidate import count_anew, has_failed, start, take_in
 from firmware_model.law.supervision.echoes import Actuator, Echo, missing_command
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
     from firmware_model.law.layout import Table
+
+
+FORCE_LOST = int(Verdict.FORCE_LOST)
 
 
 class Constants(Struct):
@@ -68,6 +72,7 @@ class State(Struct):
         float, "1", "evidence of a lost channel 2 from before the onset of the other's loss"
     ]
     jump: Annotated[float, "1", "evidence of the bias in its first tick alone"]
+    obeyed: Annotated[int, "1", "1: this tick completes the proof that channel 2 works"]
 
 
 @firmware
@@ -85,7 +90,10 @@ def weigh_signatures(table: Table, state: layout.State, innovation: float) -> No
     take_in(table, state, force.candidate, constants.force_lost, shown, innovation)
     own.commanded += shown * shown
     own.missing += shown * state.mismatch.previous_residual
-    if has_failed(constants.candidate, force.candidate):
+    known, limit = state.hypotheses.verdict == FORCE_LOST, -table.decision.suspect
+    works = known and not force.candidate.foretold > limit
+    own.obeyed = 1 if works else 0
+    if works or (not known and has_failed(constants.candidate, force.candidate)):
         begin(force)
         own.commanded = own.missing = own.before = 0.0
     if not state.sequential_test.age > real(0.0, one):  # the candidate for channel 1 begins again
@@ -146,8 +154,15 @@ def begin(hypothesis: One) -> None:
 @firmware
 def begin_all(state: State) -> None:
     """The onset of each is now."""
-    begin(state.torque_offset)
     begin(state.force_lost)
+    begin_others(state)
+
+
+@firmware
+def begin_others(state: State) -> None:
+    """The onset of each but a lost force difference is now; of that fault the evidence is used."""
+    count_anew(state.force_lost.candidate)
+    begin(state.torque_offset)
     begin(state.torque_echo)
     begin(state.force_echo)
     begin(state.sensor_biased)

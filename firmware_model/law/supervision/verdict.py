@@ -55,6 +55,7 @@ from firmware_model.law.supervision.signatures import (
 from firmware_model.law.supervision.signatures import (
     answers_no_more,
     begin_all,
+    begin_others,
     weigh_signatures,
 )
 from firmware_model.law.supervision.witness import acquits, contradicts, unsure
@@ -284,7 +285,8 @@ def standing(table: Table, state: layout.State) -> int:
     working = table.echoes.working
     if verdict == TORQUE_OFFSET and works(state.echoes.channel_1, working):
         verdict = NOTHING
-    if verdict == FORCE_LOST and works(state.echoes.channel_2, working):
+    obeys = own.signatures.obeyed == 1 or works(state.echoes.channel_2, working)
+    if verdict == FORCE_LOST and obeys:
         verdict = NOTHING
     if verdict == TORQUE_LOST or verdict > SENSOR_DRIFTING:
         verdict = NOTHING
@@ -326,7 +328,9 @@ def find(table: Table, state: layout.State, fault: int) -> None:
     else:
         opposite = own.found_size * size < real(0.0, size)
         gone = opposite and place_of(fault) == place_of(own.verdict)
-    if fault != TORQUE_LOST:
+    if fault == FORCE_LOST:
+        begin_others(weighed)
+    elif fault != TORQUE_LOST:
         begin_all(weighed)
     own.found_size = size
     own.found = fault

@@ -86,6 +86,7 @@ def healthy() -> np.ndarray:
     return np.tile(HEALTHY, (TICKS, 3, 1))
 
 
+@pytest.mark.compiled
 def test_faults_that_do_nothing_change_nothing():
     for name in ("measured", "command_1", "command_2", "fault_estimate"):
         assert np.array_equal(getattr(loop(healthy()).trace, name), getattr(loop().trace, name))

@@ -71,6 +71,7 @@ def speeding(time_s):
     return 3.0 + 60.0 * time_s + 2.0 * math.sin(40.0 * time_s)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("stages", ALL)
 def test_while_speed_and_friction_change_too(stages):
     k = np.arange(TICKS + 1)[:, None]
@@ -85,6 +86,7 @@ def test_while_speed_and_friction_change_too(stages):
     assert np.abs(forces - felt).max() < 1e-6 * np.abs(felt).max()
 
 
+@pytest.mark.compiled
 def test_the_error_falls_with_the_fourth_power_of_the_tick():
     """Inputs and friction are straight lines, which ticks of any length sample exactly."""
     end_s, u = 0.24, np.array([[100.0, 500.0]])
@@ -137,6 +139,7 @@ def test_a_constant_speed_and_road_is_exact(speed, variant):
     assert np.abs(np.subtract(found, expected)).max() < 1e-10 * np.abs(expected).max()
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("stages", ALL)
 def test_at_a_constant_speed_without_a_world_it_is_the_sampled_plant(stages):
     found, *_ = changing(None, commands(), lambda _: 17.0, stages, left=(1.0, 0.5))
@@ -146,6 +149,7 @@ def test_at_a_constant_speed_without_a_world_it_is_the_sampled_plant(stages):
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
 
+@pytest.mark.compiled
 def test_what_acts_together_is_the_sum_of_what_acts_alone():
     one, other = inputs(1), inputs(2)
     still = np.zeros((TICKS, 2))
@@ -158,6 +162,7 @@ def test_what_acts_together_is_the_sum_of_what_acts_alone():
     assert np.abs(sum(alone) - together).max() < 1e-12 * np.abs(together).max()
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("stages", ALL)
 def test_a_calm_world_changes_no_bit(stages):
     calm = np.hstack([np.zeros((TICKS + 1, 4)), DRY])
@@ -203,6 +208,7 @@ def test_nothing_jumps_where_the_equations_become_regular():
     assert slope_below == pytest.approx(slope_above, rel=1e-4)
 
 
+@pytest.mark.compiled
 def test_from_standstill_to_motorway():
     """Against the ODE solver; wind and a kick while it stands, ice while it creeps."""
     tick_s, ticks = 0.01, 300

@@ -166,6 +166,7 @@ def confirmed_after(answers: list[Answer]) -> int:
     return found - FAULT
 
 
+@pytest.mark.compiled
 def test_a_loss_is_confirmed_sooner_with_an_echo_and_against_a_lying_one() -> None:
     alone, told, denied = (
         confirmed_after(drive(table_of(), dead, hears)) for hears in (None, honest, lying)
@@ -196,6 +197,7 @@ def test_a_swinging_torque_is_compensated_until_it_works_again() -> None:
     assert abs(answers[-1].command_2) < 0.2 * peak(answers)
 
 
+@pytest.mark.compiled
 def test_a_motor_that_drifts_and_obeys_makes_up_for_its_own_drift() -> None:
     """The force carries the drift of half a second, not the sum of all drift."""
     per_tick, ticks = 0.03, FAULT + 3000
@@ -211,6 +213,7 @@ def test_a_motor_that_drifts_and_obeys_makes_up_for_its_own_drift() -> None:
     assert abs(late[:, 0].mean() + per_tick * (3000 - 315)) < 0.35 * per_tick * 3000
 
 
+@pytest.mark.compiled
 def test_a_motor_that_is_stuck_makes_up_for_nothing() -> None:
     """Every answer is the answer of a law without the hand-over."""
 
@@ -240,6 +243,7 @@ def test_a_wrong_echo_of_a_working_actuator_moves_nothing(channel: int) -> None:
     assert set(verdicts(answers)) <= {Verdict.NOTHING, Verdict.ANOTHER_CAR}
 
 
+@pytest.mark.compiled
 def test_a_law_that_hears_nothing_is_the_law_without_echoes() -> None:
     assert drive(table_of(), dead) == drive(table_of(echoes=False), dead)
 

@@ -102,6 +102,7 @@ def test_a_known_loss_is_compensated_from_the_first_tick(working: float) -> None
     assert largest[True] < 0.7 * largest[False]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("on_confirmation", [True, False])
 def test_the_steady_state_with_a_known_loss_repeats_its_commands(on_confirmation: bool) -> None:
     """At y = r every tick answers the same; d̂ is the lost part of y."""
@@ -168,6 +169,7 @@ def test_one_flipped_bit_anywhere_is_refused(precision: Precision) -> None:
     assert other.saved() == whole
 
 
+@pytest.mark.compiled
 def test_saved_knowledge_ends_with_a_reset_and_outlives_ticks_without_inputs() -> None:
     loop = lost()
     whole = loop.firmware.saved()

@@ -14,6 +14,7 @@ from firmware_model.law import controller
 from firmware_model.law.layout import State
 from firmware_model.law.status import FaultState, Mode
 from firmware_model.law.structs import Struct, fields_of
+from firmware_model.law.supervision import further_sensors
 from firmware_model.law.supervision.likelihood_ratio import start_candidate
 from firmware_model.law.supervision.overflow import clear_memories
 from firmware_model.law.supervision.takeover import end_takeover
@@ -167,3 +168,35 @@ def test_where_one_of_the_models_is_lost_nothing_is_known_any_more(path: str) ->
     fresh.takeover.pending = 1
     start_candidate(table, fresh)
     assert answers(table, state) == answers(table, fresh)
+
+
+INDICES = ["estimator.delay_index", "estimator.dead_index_1", "estimator.dead_index_2",
+           "estimator.shown_index_1", "estimator.shown_index_2", "echoes.index", "witness.index",
+           "mismatch.covariance.first"]  # fmt: skip
+
+
+@pytest.mark.parametrize("path", INDICES)
+@pytest.mark.parametrize("index", [-1, 128, 2**30, -(2**31)])
+def test_a_damaged_index_reaches_nothing_and_is_whole_after_a_tick(path: str, index: int) -> None:
+    """Whatever is damaged, the next tick forgets the same, and a reset leaves the same."""
+    *way, last = path.split(".")
+
+    def damaged(record: str, field: str) -> Any:
+        table, state = table_of(), used(table_of())
+        of: Any = state
+        for name in record.split("."):
+            of = of[name]
+        of[field] = index
+        further_sensors.hear(table, state, 1.0, 5.0, 0.0)
+        return table, state
+
+    rows = []
+    for record, field in ((".".join(way), last), ("witness", "index")):
+        table, state = damaged(record, field)
+        rows.append(answers(table, state))
+        assert 0 <= leaves(State, state)[path] <= 2
+        table, state = damaged(record, field)
+        controller.reset(table, state, 0.4)
+        rows.append(answers(table, state))
+    assert rows[:2] == rows[2:]
+    assert np.isfinite(rows).all()

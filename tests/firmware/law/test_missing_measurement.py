@@ -130,6 +130,7 @@ def torques_of_another_car(gain: float, missing: range, blind_s: float) -> tuple
     return torques, modes
 
 
+@pytest.mark.compiled
 def test_what_the_model_does_not_know_of_a_car_goes_on_too() -> None:
     """A settled car 20 % off keeps its torque: the prediction carries the difference."""
     torques, modes = torques_of_another_car(1.2, range(1500, 1900), 1.0)
@@ -156,6 +157,7 @@ def test_a_measurement_that_comes_back_fades_in() -> None:
     np.testing.assert_allclose(change, expected, rtol=1e-6, atol=1e-6 * change.max())
 
 
+@pytest.mark.compiled
 def test_after_the_longest_time_the_commands_go_to_zero_in_the_same_time() -> None:
     """In a straight line, until a measurement ends the stop."""
     torques, modes = torques_of_another_car(1.0, range(1500, 1900), 0.1)
@@ -168,6 +170,7 @@ def test_after_the_longest_time_the_commands_go_to_zero_in_the_same_time() -> No
     np.testing.assert_allclose(torques[-1], torques[1499], rtol=0.02)
 
 
+@pytest.mark.compiled
 def test_a_frozen_sensor_is_a_missing_measurement() -> None:
     """The car follows its reference all the same; the frozen number is found by its repetition."""
     target = Target(TICK_S, 1, "zoh", noise_rms=0.005, resolution=1e-5, on_confirmation=True)

@@ -120,6 +120,7 @@ def test_a_restart_within_a_tick_moves_the_car_little(begins: int) -> None:
     assert apart[-1] < 0.005
 
 
+@pytest.mark.compiled
 def test_without_a_takeover_the_same_restart_is_a_jump() -> None:
     """The measure of the tests above: a controller that believes the car at rest."""
     loop, usual = restarted(0)
@@ -138,6 +139,7 @@ def test_a_motor_that_died_before_is_found() -> None:
     assert abs(loop.output - loop.reference()) < 0.1
 
 
+@pytest.mark.compiled
 def test_actuators_at_rest_are_met_at_rest() -> None:
     loop, usual = restarted(30)
     loop.firmware.begin(at_rest=True)
@@ -147,6 +149,7 @@ def test_actuators_at_rest_are_met_at_rest() -> None:
     assert abs(loop.output - loop.reference()) < 0.1
 
 
+@pytest.mark.compiled
 def test_a_plant_at_rest_is_not_taken_over() -> None:
     """The same bits as of a controller that is told so, noise or not."""
     begun, told = (Loop(Firmware(table_of(noise_rms=0.01, resolution=0.001))) for _ in range(2))
@@ -164,6 +167,7 @@ def test_the_takeover_waits_for_the_first_tick_with_both_inputs() -> None:
     assert abs(answer.command_1 - last) < 1.2 * usual
 
 
+@pytest.mark.compiled
 def test_an_output_that_is_lost_meanwhile_does_not_end_the_takeover() -> None:
     loop, usual = restarted(0)
     loop.run(40)

@@ -128,11 +128,13 @@ def commands(driven: Driven) -> list[tuple[float, float]]:
     return [(answer.command_1, answer.command_2) for answer in driven.answers]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("hears", [right, off, swinging, nothing, None])
 def test_a_witness_of_a_healthy_car_changes_no_command_right_or_wrong(hears: Error | None) -> None:
     assert commands(drive(table_of(), hears=hears)) == commands(HEALTHY)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("sensor", [off, swinging, nothing, missing])
 def test_the_witness_stands_in_for_a_wrong_sensor(sensor: Error) -> None:
     heard, alone = drive(table_of(), sensor), drive(table_of(None), sensor, hears=None)
@@ -146,6 +148,7 @@ def test_the_witness_stands_in_for_a_wrong_sensor(sensor: Error) -> None:
         assert {answer.mode for answer in heard.answers[denied + PERIOD :]} == {Mode.BLIND}
 
 
+@pytest.mark.compiled
 def test_a_loss_is_confirmed_with_a_witness_as_soon_as_without() -> None:
     alone = drive(table_of(None), hears=None, acts=dead)
     heard = drive(table_of(), acts=dead)
@@ -155,6 +158,7 @@ def test_a_loss_is_confirmed_with_a_witness_as_soon_as_without() -> None:
     assert Verdict.SENSOR_WRONG not in heard.verdicts
 
 
+@pytest.mark.compiled
 def test_a_lost_torque_whose_echo_lies_is_confirmed_once_the_witness_shows_the_loss() -> None:
     honestly, against = (
         drive(table_of(echoes=True), acts=dead, echoes=says).states.index(FaultState.CONFIRMED)
@@ -185,6 +189,7 @@ def test_the_echo_of_a_working_motor_keeps_a_pretended_loss_from_being_confirmed
     assert Verdict.SENSOR_WRONG in pretended.verdicts
 
 
+@pytest.mark.compiled
 def test_without_a_sensor_the_witness_shows_what_the_model_does_not_know() -> None:
     held = {"wanted": lambda k: 0.0, "push": 10.0}
     heard = drive(table_of(), missing, **held)
@@ -193,6 +198,7 @@ def test_without_a_sensor_the_witness_shows_what_the_model_does_not_know() -> No
     assert abs(heard.y[-1] - seen.y[-1]) < 0.1 * abs(blind.y[-1] - seen.y[-1])
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(("hears", "last"), [(right, Mode.BLIND), (None, Mode.SAFE_STOP)])
 def test_a_blind_controller_stops_unless_a_witness_comes(hears: Error | None, last: Mode) -> None:
     driven = drive(table_of(blind_s=0.1), missing, hears)
@@ -203,6 +209,7 @@ def falls_silent(y: float, k: int) -> float:
     return y if k < 100 else math.nan  # 100 ms later the witness counts for nothing
 
 
+@pytest.mark.compiled
 def test_a_denied_sensor_stays_denied_when_the_witness_falls_silent() -> None:
     driven = drive(table_of(blind_s=0.02), off, falls_silent)
     modes = [answer.mode for answer in driven.answers]
@@ -228,6 +235,7 @@ def test_a_sensor_that_works_again_is_believed_once_the_car_has_moved(moves: boo
     assert (driven.verdicts[-1] == Verdict.SENSOR_WRONG) is not moves
 
 
+@pytest.mark.compiled
 def test_an_unknown_speed_is_no_fault() -> None:
     def faster(y: float, k: int) -> float:
         return y * (1.0 + 0.2 * (1.0 - WEIGHT))
@@ -254,6 +262,7 @@ def test_what_is_no_sample_is_not_heard(sample: tuple[int, float, float]) -> Non
         assert firmware.step(0.1, 0.0) == other.step(0.1, 0.0), k
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("age", [7, 30])
 def test_a_sample_counts_for_the_tick_in_which_it_was_taken(age: int) -> None:
     """Old samples stand in for the sensor nearly as well as new ones, if their age is told."""

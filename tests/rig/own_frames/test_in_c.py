@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import ctypes
 import math
+import re
 from copy import copy
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import can
 import cantools
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
@@ -76,7 +79,7 @@ def dbc_of(lines: list[tuple[str, str]]) -> str:
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-@settings(max_examples=10)
+@settings(max_examples=10, phases=[Phase.generate])  # each compiles C
 @given(data=st.data(), lines=st.lists(signals(), min_size=5, max_size=5))
 def test_the_bits_are_those_of_cantools(
     precision: Precision, data: st.DataObject, lines: list[tuple[str, str]],
@@ -125,6 +128,19 @@ def test_the_bits_are_those_of_cantools(
             code.pack(at, steps * codec.lsb, count, 0, packed)
             sent = {**others, "Value": raw, "Count": count}
             assert packed.raw == message.encode(sent, scaling=False)
+
+
+def test_half_a_step_is_rounded_as_in_python(tmp_path: Path) -> None:
+    """In single precision, where 1/lsb is whole, but the division of the rig meets no half."""
+    text = dbc_of([("48|32@1- (1e-05,0) [0|0]", "")] * 5)
+    network = network_from(text, tmp_path)
+    code, codec, odd = frames_in_c(network, "float32"), network.command_1, 0
+    for value in (n / 64.0 for n in range(-999, 1000, 2)):
+        packed = ctypes.create_string_buffer(16)
+        code.pack(2, value, 0, 0, packed)
+        assert packed.raw == bytes(codec.encode(value, 0))
+        odd += codec.to_raw(value) != round(Fraction(value) * 100_000)
+    assert odd > 50
 
 
 # --- the node ------------------------------------------------------------------------------------
@@ -204,38 +220,49 @@ def test_any_frames_are_answered_and_judged_alike(own: dict[str, list[str]], lay
 SENSORS = """
 BO_ 1310 ESP12: 8 VMC
  SG_ YAW : 40|13@1+ (0.01,-40.95) [-40.95|40.96] "deg/s" EPS
- SG_ TORQUE : 24|12@1- (0.25,0) [-500|500] "Nm" EPS
+ SG_ LAT : 24|11@1+ (0.01,-10.23) [-10.23|10.24] "m/s^2" EPS
  SG_ Count : 0|16@1+ (1,0) [0|65535] "" EPS
 
-BO_ 1312 SAS11: 5 VMC
- SG_ Angle : 23|16@0- (0.1,0) [-3000|3000] "deg" EPS
+BO_ 1312 DRV_Echo: 5 VMC
+ SG_ Force : 23|16@0- (0.5,0) [-16000|16000] "N" EPS
 
 """
+CALM = {"noise": 0.0, "resolution": 0.0, "corner_hz": 0.0}
+HEARD = [
+    {"measures": "yaw-rate", "period_s": 0.01, **CALM},
+    {"measures": "lateral-acceleration", "period_s": 0.01, **CALM},
+    {"measures": "force-difference-echo", "phase_s": 0.005, "period_s": 0.01, **CALM},
+]
+OSCILLATING = {
+    "kind": "actuator-oscillating", "channel": "force-difference", "amplitude": 1500,
+    "frequency_rad_per_s": 10, "at_s": 0.4,
+}  # fmt: skip
+DEAD = {"kind": "sensor-dead", "at_s": 0.3}
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_sensors_are_heard_in_the_units_of_the_database(tmp_path: Path, precision: str) -> None:
-    """Two in one message, one mirrored at the wheel; the law decides by them."""
-    path, calm = tmp_path / "car.dbc", {"noise": 0.0, "resolution": 0.0, "corner_hz": 0.0}
+@pytest.mark.parametrize(
+    ("fault", "others"), [(OSCILLATING, HEARD[:2]), (DEAD, HEARD[2:])], ids=["echo", "witness"]
+)
+def test_sensors_are_heard_in_the_units_of_the_database(
+    tmp_path: Path, precision: str, fault: dict[str, Any], others: list[dict[str, Any]]
+) -> None:
+    """Two in one message, one that is mirrored; without them the node answers otherwise."""
+    path = tmp_path / "car.dbc"
     path.write_text(MOTOROLA.read_text().replace("BO_ 1304", f"{SENSORS}BO_ 1304"))
-    roles = {"yaw_rate": "ESP12.YAW", "torque_echo": "ESP12.TORQUE",
-             "steering_angle": {"signal": "SAS11.Angle", "factor": -0.0625}}  # fmt: skip
+    roles = {"yaw_rate": "ESP12.YAW", "lateral_acceleration": "ESP12.LAT",
+             "force_difference_echo": {"signal": "DRV_Echo.Force", "factor": -0.5}}  # fmt: skip
     values = {
-        "duration_s": 1.0, "design": {"precision": precision},
-        "sensor": [{"measures": "yaw-rate", "period_s": 0.01, **calm},
-                   {"measures": "torque-echo", "period_s": 0.01, **calm},
-                   {"measures": "steering-angle", "phase_s": 0.005, "period_s": 0.01, **calm}],
-        "fault": {"kind": "actuator-dead", "at_s": 0.5},
+        "duration_s": 0.8, "latency_ticks": 1, "design": {"precision": precision}, "fault": fault,
         "network": {"dbc": str(path), "tick": "Count", "signals": {**SIGNALS, **roles}},
     }  # fmt: skip
-    logs = []
-    for measured in (values, {**values, "sensor": values["sensor"][:1]}):
-        scenario = draft("sensed", measured).scenario
-        for controller in (PYTHON, controller_of("ecu", scenario)):
-            logs.append(log_from(scenario, controller))
-    python, c, fewer, fewer_in_c = logs
-    assert python == c
-    assert fewer == fewer_in_c
+    all_of_them, fewer = (
+        draft("sensed", {**values, "sensor": heard}).scenario for heard in (HEARD, others)
+    )
+    python = log_from(all_of_them)
+    assert python == log_from(all_of_them, controller_of("ecu", all_of_them))
+    answers = (re.findall(rb" 51[567]#\w+", log) for log in (python, log_from(fewer)))
+    assert next(answers) != next(answers)
 
 
 # --- the export ----------------------------------------------------------------------------------

@@ -183,6 +183,17 @@ def test_a_lost_motor_is_never_the_fault_of_the_sensor(name: str, seed: int) -> 
     assert last == (Verdict.TORQUE_LOST, FaultState.CONFIRMED)
 
 
+@pytest.mark.parametrize(("for_s", "end_s"), [(3.0, 6.0), (9.0, 12.0)])
+def test_a_lost_force_difference_is_named_until_its_use_shows_that_it_works(
+    for_s: float, end_s: float
+) -> None:
+    changes = ["design.compensation=always", "fault.channel=force-difference", "fault.at_s=3",
+               f"fault.for_s={for_s}", "duration_s=12", "seed=1"]  # fmt: skip
+    _, signals = run("noisy", changes)
+    assert verdicts(signals, 3.2, end_s) == {Verdict.FORCE_LOST}
+    assert Verdict.FORCE_LOST not in verdicts(signals, end_s + 1.0)
+
+
 def test_the_verdict_waits_while_inputs_are_missing() -> None:
     scenario, signals = run("default", ["duration_s=0.3", "fault.kind=none"])
     measured = signals.dstar_mps2.copy()
