@@ -13,7 +13,6 @@ OF = scheduled(SPEEDS[:2])
 LOST = (0.0, 1.0)
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("left", [(1.0, 1.0), pytest.param(LOST, marks=pytest.mark.compiled)])
 def test_a_loop_that_is_stable_everywhere(left):
     found = sweep(OF, car, TICK_S, 8.0, left)

@@ -71,7 +71,6 @@ def speeding(time_s):
     return 3.0 + 60.0 * time_s + 2.0 * math.sin(40.0 * time_s)
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("stages", ALL)
 def test_while_speed_and_friction_change_too(stages):
     k = np.arange(TICKS + 1)[:, None]
@@ -208,7 +207,6 @@ def test_nothing_jumps_where_the_equations_become_regular():
     assert slope_below == pytest.approx(slope_above, rel=1e-4)
 
 
-@pytest.mark.compiled
 def test_from_standstill_to_motorway():
     """Against the ODE solver; wind and a kick while it stands, ice while it creeps."""
     tick_s, ticks = 0.01, 300

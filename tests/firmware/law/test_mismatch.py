@@ -18,6 +18,7 @@ from firmware_model.law.structs import RecordArray
 from firmware_model.law.supervision.covariance import MAX_STATES
 from firmware_model.law.supervision.mismatch import (
     difference,
+    doubt_motion,
     innovation,
     learn_loss,
     predict_mismatch,
@@ -237,3 +238,20 @@ def test_a_car_beyond_the_box_is_as_different_as_the_box_at_most() -> None:
     assert difference(table, state.mismatch) == 1.0  # nothing is known of it
     state.mismatch.theta[2:4] = 10.0
     assert difference(table, state.mismatch) == 1.0
+
+
+def test_a_doubted_motion_is_a_remainder_of_that_variance() -> None:
+    """The variance of the first innovation grows by x² times the variance, and its white share."""
+    table = build(DESIGN, Target(TICK_S, 1, "zoh", mismatch=other_cars(2), noise_rms=0.01))
+    variances = []
+    for doubted in (0.0, 0.5):
+        state = controller.init(table)[0]
+        doubt_motion(table.mismatch, state.mismatch, doubted)
+        predict(table, state, 1.0, 0.0, 0.0)
+        last = table.mismatch.n - 1
+        shown = float(state.mismatch.regressor[last])
+        innovation(table.mismatch, state.mismatch, 0.1, 0.0, 0.0, 0.0)
+        white = float(table.mismatch.white * state.mismatch.remainder)
+        variances.append(float(state.mismatch.variance) - doubted * shown**2 - white)
+    assert shown > 0.0
+    assert variances[0] == pytest.approx(variances[1], rel=1e-9)

@@ -294,7 +294,6 @@ def test_the_law_says_what_is_taken_away_and_its_models_follow_what_is_left() ->
     assert last.fault_estimate == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1])
 def test_the_law_goes_on_without_the_force_difference(latency: int) -> None:
     """Swings of a loop that compensates take the force difference first, and only then the rest."""

@@ -98,7 +98,6 @@ class Car:
         self.y = float(follow_plant(s.phi, s.gamma, s.c, self._x, left * torque, force))
 
 
-@pytest.mark.compiled
 def test_a_car_that_was_turned_by_its_driver_shows_no_fault_while_it_comes_back(firmware):
     its = Car(holding=2.0)
     driven(firmware, SLOW, 3 * TICKS, 0.0, its.y)

@@ -15,8 +15,14 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.takeover import LISTENING, largest_variance, observer
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
+from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Mode
-from firmware_model.law.supervision.takeover import wanted_level
+from firmware_model.law.supervision.takeover import (
+    advance_motion,
+    begin_takeover,
+    show_motion,
+    wanted_level,
+)
 from tests.firmware.law.cases import other_cars
 
 TICK_S = 0.001
@@ -224,3 +230,19 @@ def test_the_doubt_is_the_variance_that_noise_leaves() -> None:
         largest = max(largest, float(np.var(states @ c)))
         states = states @ phi.T
     assert largest_variance(phi, c, covariance) == pytest.approx(largest, rel=0.1)
+
+
+def test_a_takeover_ends_once_its_motion_has_faded() -> None:
+    table = table_of()
+    state, g1 = controller.init(table)[0].takeover, table.estimator.channel_1
+    begin_takeover(g1, state, 0.0, 1.0)
+    shown = []
+    while state.active:
+        show_motion(g1, state)
+        shown.append(float(state.shown))
+        advance_motion(table.takeover, g1, state)
+    assert len(shown) == table.takeover.lasting
+    assert shown[0] == pytest.approx(1.0)
+    assert abs(shown[-1]) < 0.01
+    show_motion(g1, state)
+    assert state.shown == 0.0
