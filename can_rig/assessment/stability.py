@@ -264,6 +264,8 @@ class StabilityCheck:
         if scenario.plant.is_own:
             stands_for = "car with its parameters" if scenario.plant.is_car else "plant by numbers"
             yield f"margins: of the linear {stands_for}, not of {scenario.plant.kind}"
+        if scenario.sensors and not scenario.controller.is_ours:
+            yield "margins: of the controller without what the further sensors say"
         yield from describe(scenario, self.limitations)
         if self.healthy.stable and self.decision is not None:
             yield from self.decision.describe(scenario)

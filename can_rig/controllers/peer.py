@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from numbers import Integral, Real
+from numbers import Integral
+from types import MappingProxyType
 from typing import Any, Final
 
 from can_rig.controllers.protocol import Answer, Inputs
 from can_rig.controllers.setup import ControllerSetup
 from can_rig.errors import RigError, ScenarioError
+from can_rig.frames.codec import nothing_heard
 from can_rig.scenario.controller_settings import PEERS
-from can_rig.scenario.own_class import failure, find_class, guard, require_signature
+from can_rig.scenario.own_class import as_float, failure, find_class, guard, require_signature
 from firmware_model.law.status import Mode
 
 METHODS: Final = {
@@ -53,15 +55,6 @@ def class_of(setup: ControllerSetup) -> Callable[[], Any]:
     return made
 
 
-def _as_float(value: Any) -> float:
-    """A number, or an array of shape (), as a float; nan for anything else."""
-    number = value.item() if getattr(value, "shape", None) == () else value
-    try:
-        return float(number) if isinstance(number, Real) else math.nan
-    except OverflowError:
-        return math.nan
-
-
 def where_of(setup: ControllerSetup) -> str:
     """Begins an error's line."""
     return f"controller.kind = {setup.scenario.controller.kind!r}"
@@ -86,6 +79,8 @@ class Peer:
         self._hold = getattr(self.controller, "hold", None)
         self._act = getattr(self.controller, "act", None)
         self._speed, self._ticks = math.nan, 0
+        sensors = setup.scenario.sensors
+        self._unheard = MappingProxyType(nothing_heard([each.usual.column for each in sensors]))
         self.commands = (0.0, 0.0)
         """See ``NodeController``."""
         guard(self._where, "reset(0) failed", lambda: self.controller.reset(0.0))
@@ -106,6 +101,8 @@ class Peer:
             RigError: an exception of the controller, or an invalid answer.
         """
         self._ticks += 1
+        if not inputs.witnesses:
+            inputs = inputs._replace(witnesses=self._unheard)
         if math.isnan(inputs.speed_mps):
             inputs = inputs._replace(speed_mps=self._speed)
         self._speed = inputs.speed_mps
@@ -163,7 +160,7 @@ class Peer:
             value = getattr(checked, name)
             if value is None and name == "fault_estimate":
                 continue
-            numbers[name] = _as_float(value)
+            numbers[name] = as_float(value)
             if not math.isfinite(numbers[name]):
                 raise self._refused(answer, f"{name} must be a finite number")
         for name, largest in CODES.items():

@@ -21,19 +21,18 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Mapping
-from numbers import Real
 from typing import Protocol, runtime_checkable
 
 from can_rig.errors import RigError, ScenarioError, require
 from can_rig.logs.columns import TAKEN
-from can_rig.scenario.own_class import failure, find_class, guard, require_signature
+from can_rig.scenario.own_class import as_float, failure, find_class, guard, require_signature
 from can_rig.scenario.plant_settings import CAR, FMU, PlantSettings
 from can_rig.scenario.sensor_settings import USUAL
 from firmware_model.law.structs import FloatArray
 
 METHODS = {
     "reset": "reset()",
-    "advance": "advance(dt_s, torque_nm, force_difference_n) -> dstar_mps2",
+    "advance": "advance(dt_s, torque_nm, force_difference_n, world=None) -> dstar_mps2",
 }
 TRIAL_S = 0.001
 _OTHERS = {*TAKEN, *(each.column for each in USUAL.values())}
@@ -132,6 +131,7 @@ class GuardedPlant:
         self._kind = kind
         self._plant = plant
         self._time_s = 0.0
+        self._names: set[str] = set()
 
     def reset(self) -> None:
         """Back to rest; see ``PlantProtocol``.
@@ -157,11 +157,11 @@ class GuardedPlant:
         except BaseException as error:
             what = f"advance failed at {self._time_s:.9g} s"
             raise RigError(failure(_where(self._kind), what, error)) from None
-        if not _is_finite(answer):
+        if not math.isfinite(number := as_float(answer)):
             when = f"advance at {self._time_s:.9g} s"
             raise RigError(f"plant.kind = {self._kind!r}: {when} {_not_finite(answer)}")
         self._time_s += dt_s
-        return float(answer)
+        return number
 
     def readable(self) -> dict[str, float]:
         """What further sensors can read: ``signals``, and a car's ``witnesses`` without a column.
@@ -183,7 +183,14 @@ class GuardedPlant:
             return {}
         what = f"signals() at {self._time_s:.9g} s"
         values = guard(_where(self._kind), f"{what} failed", plant.signals, RigError)
-        return _reported(self._kind, what, values)
+        reported = _reported(self._kind, what, values)
+        self._names = self._names or set(reported)
+        if reported.keys() != self._names:
+            raise RigError(
+                f"plant.kind = {self._kind!r}: {what} names {', '.join(reported) or 'nothing'}: "
+                f"must be {', '.join(sorted(self._names))}, as before"
+            )
+        return reported
 
 
 def _construct(kind: str, plant_class: type[object], settings: PlantSettings) -> PlantProtocol:
@@ -209,7 +216,7 @@ def _try(kind: str, plant: PlantProtocol) -> None:
     guard(_where(kind), "reset() failed", plant.reset)
     trial = f"advance({TRIAL_S:g}, 0, 0) at rest"
     answer = guard(_where(kind), f"{trial} failed", lambda: plant.advance(TRIAL_S, 0.0, 0.0))
-    if not _is_finite(answer):
+    if not math.isfinite(as_float(answer)):
         raise ScenarioError(f"plant.kind = {kind!r}: {trial} {_not_finite(answer)}")
 
 
@@ -223,19 +230,11 @@ def _reported(kind: str, what: str, values: object) -> dict[str, float]:
                 f"plant.kind = {kind!r}: {what} names {name!r}: must be a name that no other "
                 "column has, of letters, digits and _, and end in its unit"
             )
-        if not isinstance(value, Real):
+        if math.isnan(as_float(value)) and not (isinstance(value, float) and math.isnan(value)):
             raise RigError(
                 f"plant.kind = {kind!r}: {what} gives {name} = {value!r}: must be a number"
             )
-    return {name: float(value) for name, value in values.items()}
-
-
-def _is_finite(answer: object) -> bool:
-    """NumPy scalars count as numbers; arrays, and text that reads like a number, do not."""
-    try:
-        return isinstance(answer, Real) and math.isfinite(answer)
-    except OverflowError:  # a whole number beyond every float
-        return False
+    return {name: as_float(value) for name, value in values.items()}
 
 
 def _not_finite(answer: object) -> str:

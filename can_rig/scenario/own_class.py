@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import math
 import sys
 import traceback
 from collections.abc import Callable
+from numbers import Real
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from can_rig.errors import RigError, ScenarioError, one_line
 
@@ -75,6 +77,15 @@ def find_class(where: str, path: str, method: str) -> type[object]:
 def _is_other(mine: Path, file: str) -> bool:
     """Whether ``mine`` is a file, and another one than ``file``."""
     return mine.is_file() and mine != Path(file).resolve()
+
+
+def as_float(value: Any) -> float:
+    """A number, or an array of shape (), as a float; nan for anything else."""
+    number = value.item() if getattr(value, "shape", None) == () else value
+    try:
+        return float(number) if isinstance(number, Real) else math.nan
+    except OverflowError:
+        return math.nan
 
 
 def failure(where: str, what: str, error: BaseException) -> str:

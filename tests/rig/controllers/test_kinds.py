@@ -165,6 +165,26 @@ def test_a_bad_answer_is_one_line(body: str, own: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_further_sensor_has_its_name_before_its_first_frame(own: Path, tmp_path: Path) -> None:
+    """So ``check``, which has no sensors, does not refuse a controller that listens to one."""
+    (own / "listens.py").write_text(
+        "def step(inputs):\n"
+        "    heard = inputs.witnesses['measured_yaw_rate_rad_per_s']\n"
+        "    age = inputs.witnesses['measured_yaw_rate_rad_per_s_age_ticks']\n"
+        "    assert (heard == heard) == (age == age)\n"
+        "    return 5.0 * (inputs.reference - inputs.measurement), 100.0 * (heard == heard)\n"
+    )
+    scenario = load("cluster", ["controller.kind=listens:step", "fault.kind=none", *SHORT[:1]])
+    assert peer_of(scenario).step(Inputs(1.0, 0.0))[:2] == (5.0, 0.0)
+    said = "\n".join(check_stability(scenario).notes)
+    assert "margins: of the controller without what the further sensors say" in said
+    logged(scenario, tmp_path / "run")
+    signals = read_signals(tmp_path / "run" / "bus.log", network_of(scenario), scenario.tick_s)
+    heard = np.isfinite(signals.sensors["measured_yaw_rate_rad_per_s"])
+    np.testing.assert_array_equal(signals.force_difference_n == 100.0, heard)
+    assert 0 < heard.sum() < len(heard)
+
+
 def test_an_array_of_no_dimension_is_a_number(own: Path) -> None:
     (own / "bad.py").write_text(
         "import numpy as np\n\ndef step(inputs):\n"

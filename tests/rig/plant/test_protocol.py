@@ -93,7 +93,12 @@ def test_a_package_in_the_current_directory_is_found_but_hides_nothing_installed
     assert "no class or function Car in" in refusal("colorsys:Car")  # the standard library's own
 
 
-NUMBERS = {"an int": "0", "NumPy's": "numpy.float64(0.0)", "NumPy's small": "numpy.float32(0.0)"}
+NUMBERS = {
+    "an int": "0",
+    "of no dimension": "numpy.array(0.0)",
+    "NumPy's": "numpy.float64(0.0)",
+    "NumPy's small": "numpy.float32(0.0)",
+}
 
 
 @pytest.mark.parametrize("number", NUMBERS.values(), ids=NUMBERS.keys())
@@ -114,6 +119,7 @@ REFUSED = {
     "too many": ((ADVANCE, ADVANCE.replace(")", ", more)")), r"advance\(.*, more\): must be adv"),
     "reset wants more": (("reset(self)", "reset(self, state)"), r"\(state\): must be reset\(\)$"),
     "no settings": ((INIT, INIT.replace(")", ", x)")), r"settings, x\): must be Car\(settings\)$"),
+    "a world that must be": ((ADVANCE, ADVANCE.replace(")", ", world)")), r"be .*, world=None\)"),
     "nan": (("return 0.5", "return float('nan')"), r"advance\(0.001, 0, 0\) at rest gives nan"),
     "infinity": (("return 0.5", "return 1e999"), r"gives inf: D\* must be a finite float"),
     "text": (("return 0.5", "return '0.5'"), "gives '0.5': "),

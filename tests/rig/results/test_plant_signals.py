@@ -149,6 +149,7 @@ def test_a_plant_of_one_s_own_has_parameters_and_signals_of_its_own(tmp_path, mo
         ("{'yaw rate': 1.0}", "names 'yaw rate': must be a name that no other column has"),
         ("{'dstar_mps2': 1.0}", "names 'dstar_mps2': must be a name that no other column has"),
         ("{'a_rad': 'x'}", "gives a_rad = 'x': must be a number"),
+        ("{'a_rad': 10**400}", "gives a_rad = 10+: must be a number"),
         ("{'a_rad': 1 / 0}", "signals\\(\\) at 0 s failed: ZeroDivisionError"),
     ],
 )
@@ -156,6 +157,14 @@ def test_signals_that_are_none_are_refused_in_one_line(tmp_path, monkeypatch, si
     plant = SimulatedPlant(own(tmp_path, monkeypatch, signals))
     with pytest.raises(RigError, match=line):
         plant.advance(0, 0.0, 0.0)
+
+
+def test_signals_that_change_their_names_are_refused_in_one_line(tmp_path, monkeypatch):
+    """The columns of the file are those of the first tick; other values would be lost."""
+    plant = SimulatedPlant(own(tmp_path, monkeypatch, "{'b_m': 0.0} if self.y else {'a_rad': 1.0}"))
+    with pytest.raises(RigError, match=r"signals\(\) at .* names b_m: must be a_rad, as before"):
+        for tick in range(9):
+            plant.advance(tick, 2.0, 0.0)
 
 
 @given(st.lists(st.tuples(st.floats(), st.floats()), min_size=1))
