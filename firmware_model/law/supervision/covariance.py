@@ -131,7 +131,9 @@ def replace_loss(state: State, n: int, share: float, moment: float) -> None:
     lower[:, :LOSS_STATES] = 0.0
     state.variances[0] = share
     state.variances[1] = moment
-    state.first = 0 if share + moment > real(0.0, share) else LOSS_STATES
+    state.first = LOSS_STATES
+    if share + moment > real(0.0, share):
+        state.first = 0
 
 
 @firmware

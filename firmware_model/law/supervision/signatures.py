@@ -92,7 +92,9 @@ def weigh_signatures(table: Table, state: layout.State, innovation: float) -> No
     own.missing += shown * state.mismatch.previous_residual
     known, limit = state.hypotheses.verdict == FORCE_LOST, -table.decision.suspect
     works = known and not force.candidate.foretold > limit
-    own.obeyed = 1 if works else 0
+    own.obeyed = 0
+    if works:
+        own.obeyed = 1
     if works or (not known and has_failed(constants.candidate, force.candidate)):
         begin(force)
         own.commanded = own.missing = own.before = 0.0
