@@ -25,7 +25,7 @@ os.environ.setdefault("PYTEST_TIMEOUT", "300")
 
 # No deadline and no complaint of slow data: the time that an example takes depends on the machine.
 # In CI the examples are the same every time, so that a failure comes from the change and not from
-# the draw; by hand they are new every time, and a failing one is printed so that it can be rerun.
+# the draw; by hand the examples are new, and a failing example is printed for a rerun.
 hypothesis.settings.register_profile(
     "tests",
     deadline=None,

@@ -283,7 +283,7 @@ class AnsweringNode(ABC):
     def _overhear(self, message: can.Message) -> bool:
         """Follow the ticks without power; returns whether ``message`` ended one.
 
-        The node sends nothing and keeps nothing. Where the bus dropped frames of the outage, the
+        The node sends and keeps no frame. Where the bus dropped frames of the outage, the
         next intact feedback says how far the run is, the end of the outage at most.
         """
         if message.arbitration_id != self._feedback_codec.frame_id:

@@ -56,7 +56,7 @@ def plant_of(scenario: Scenario) -> PlantBehind:
 def linear_plant(scenario: Scenario) -> SampledPlant | None:
     """The linear plant from tick to tick; None for a plant class, a drive and disturbances.
 
-    None also for sensors that the controller hears.
+    None with further sensors for the controller.
 
     Raises:
         ScenarioError: a car that is not stable.

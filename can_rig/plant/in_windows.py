@@ -117,8 +117,8 @@ class LoopInWindows:
 
         Args:
             window: its ticks.
-            drawn: the noise of those to come, as far as it has been drawn.
-            done: how many of them are, whose noise is of no use any more.
+            drawn: the noise of the next ticks, as far as drawn before.
+            done: the number of past ticks in the window; their noise is used up.
         """
         fresh = self._noise.next(len(window) - done - len(drawn))
         noise = np.concatenate([np.zeros(done), drawn, fresh])

@@ -9,7 +9,7 @@ from collections import defaultdict
 import numba
 import pytest
 
-QUICK = ("design", "discretisation")  # rooms of tests whose cases cost nothing
+QUICK = ("design", "discretisation")  # rooms with cheap tests
 
 
 @pytest.hookimpl(trylast=True)  # after -m has chosen

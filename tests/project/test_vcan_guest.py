@@ -1,4 +1,4 @@
-"""``tools/vcan_guest``: a command in there is as one out here, but for vcan0."""
+"""``tools/vcan_guest``: a command runs in the guest as outside, beside vcan0."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""Loops that several of these tests look at."""
+"""Loops for the tests of this room."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def test_a_sensor_that_is_late_says_what_was():
     trace = loop(faults).trace
     assert np.array_equal(trace.measured[10:], trace.measurement[3:-7])
     early = healthy()
-    early[:5, SENSOR, LATE] = 10  # before the first reading there is none
+    early[:5, SENSOR, LATE] = 10  # no reading yet
     assert not loop(early).trace.measured[:5].any()
 
 

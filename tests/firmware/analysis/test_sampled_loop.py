@@ -122,7 +122,7 @@ def test_poles_are_those_of_the_block_diagram(
     loop = loop_of(build(designed, target), designed.plant, 1e-3, left, extra)
     expected = by_hand(designed, target, designed.plant, left, extra)
     assert loop.spectral_radius() == pytest.approx(np.abs(expected).max(), rel=1e-8)
-    # Poles far from zero match one by one; poles of unheard delays are zero to a root of eps.
+    # Poles far from zero match in pairs; poles of unheard delays are zero to a root of eps.
     ours = loop.poles()
     for pole in expected[np.abs(expected) > 0.9]:
         assert np.abs(ours - pole).min() < 1e-5

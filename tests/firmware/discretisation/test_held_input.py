@@ -52,7 +52,7 @@ def test_the_response_is_that_of_a_zero_order_hold(name: str, tick_s: float) -> 
 def test_zeros_are_as_many_as_poles_or_one_less_and_each_is_one(
     name: str, tick_s: float, through: float
 ) -> None:
-    """As many with feedthrough, one less without: a sample later the answer begins."""
+    """Without feedthrough the answer begins a sample later: one zero less."""
     g = FILTERS[name]
     system = sampled(g, tick_s)
     poles = np.array([np.expm1(p * tick_s) for p in g.poles], np.complex128)

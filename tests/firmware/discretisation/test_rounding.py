@@ -43,7 +43,7 @@ def test_of_sections_each_polynomial_counts() -> None:
 
 
 def test_at_zero_what_a_section_of_first_order_has_twice_does_not_count() -> None:
-    """δ/δ has no value there, and is not computed."""
+    """δ/δ has no value at zero, and stays out of the sum."""
     found = of_sections(Sections(np.array([[1.0, 2.0, 0.0, 3.0, 0.0]]), TICK_S), np.zeros(1) + 0j)
     assert found.tolist() == [2.0]
 

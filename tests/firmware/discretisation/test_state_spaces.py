@@ -57,7 +57,7 @@ def test_a_state_space_without_states_or_without_a_way_through_is_a_constant() -
 
 
 def test_a_zero_of_high_order_keeps_its_digits() -> None:
-    """Eigenvalues lose them together, so that the response keeps them; iteration does not."""
+    """Eigenvalues lose the digits of all zeros together, and the response keeps its digits."""
     g = ZeroPoleGain((-1.0,) * 5, (-2.0,) * 6, 2.0)
     a, b, c, d = signal.zpk2ss(g.zeros, g.poles, g.gain)
     found = StateSpace(a, b, c, d.item()).zero_pole_gain()

@@ -19,7 +19,7 @@ def test_a_rough_zero_becomes_exact() -> None:
 
 
 def test_a_zero_that_cancels_a_pole_stays_as_it_was_found() -> None:
-    """There the resolvent does not exist: 1/(x + 3) with a pole at -1 that nothing shows."""
+    """The resolvent does not exist at the zero: 1/(x + 3) with a hidden pole at -1."""
     assert refined(A, B, np.array([[0.0, 1.0]]), POLES, [-1.0]) == [-1.0]
 
 

@@ -228,7 +228,7 @@ def growth(table, plant, left, ticks: int) -> float:  # type: ignore[no-untyped-
 
 def disagreement(spec: DesignSpecification, target: Target, left: tuple[float, float]) -> str:
     """Empty when the prediction is what the simulation does."""
-    never = {"confirm": math.inf}  # what diverges would be a channel 2 that is lost
+    never = {"confirm": math.inf}  # a divergence would count as a lost channel 2
     table = changed(build(design(CAR, spec), target), decision=never)[0]
     plant = sample(CAR, target.tick_s)
     radius = sampled_loop(linear_controller(table), CAR, target.tick_s, left).spectral_radius()

@@ -21,7 +21,7 @@ def own_buses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """What python-can is asked for, in place of a bus that this machine may not have."""
+    """The arguments for python-can, in place of a bus that this machine may lack."""
     asked: dict[str, Any] = {}
 
     class Unnamed:

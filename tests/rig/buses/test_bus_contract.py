@@ -84,7 +84,7 @@ class TestUdpMulticast(BusContract):
 class TestSocketcan(BusContract):
     error_frames = False  # the kernel delivers those alone that have a class; see test_socketcan
     burst = 250  # a receive queue of the kernel's default size holds some 270
-    marks_own = False  # the kernel marks what this machine sent, whoever it was
+    marks_own = False  # the kernel marks frames of this machine, of any process
     refuses_when_closed = False
 
     @pytest.fixture

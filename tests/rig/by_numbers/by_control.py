@@ -72,7 +72,7 @@ def filters(scenario: Scenario) -> list[control.StateSpace]:
     )
     below = sign * np.atleast_1d(np.poly(right)).real
     away = np.array([q for q in poles if q != 0])
-    flat = order + 1 - chosen.alpha_q - len(away)  # derivatives at 0 that T has as 1 does
+    flat = order + 1 - chosen.alpha_q - len(away)  # derivatives of T at 0 equal to those of 1
     series = signal.lfilter(above[::-1], below[::-1], np.eye(1, flat)[0])
     rows = np.eye(flat + len(away), dtype=complex)
     rows[flat:] = np.vander(away, len(rows), increasing=True)

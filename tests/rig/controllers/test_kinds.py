@@ -166,7 +166,7 @@ def test_a_bad_answer_is_one_line(body: str, own: Path) -> None:
 
 
 def test_a_further_sensor_has_its_name_before_its_first_frame(own: Path, tmp_path: Path) -> None:
-    """So ``check``, which has no sensors, does not refuse a controller that listens to one."""
+    """So ``check``, which has no sensors, accepts a controller that listens to a sensor."""
     (own / "listens.py").write_text(
         "def step(inputs):\n"
         "    heard = inputs.witnesses['measured_yaw_rate_rad_per_s']\n"

@@ -263,7 +263,7 @@ def test_a_node_replaces_no_log_unasked(tmp_path: Path) -> None:
     assert f"{log}: exists; choose another --log, or --force to replace it" in done.stderr
     assert log.read_text() == "a drive\n"
     assert asked(*command, "--wait", "0.01", "--force").returncode == 3
-    assert log.read_text() == "a drive\n"  # nothing was recorded that could replace the log
+    assert log.read_text() == "a drive\n"  # no record could replace the log
 
 
 def test_an_empty_log_gives_an_empty_table(tmp_path: Path) -> None:

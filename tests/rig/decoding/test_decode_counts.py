@@ -47,7 +47,7 @@ def test_protected_frames_are_judged_as_the_receiver_judges_them(
     draws: list[tuple[int, str]], middle: int
 ) -> None:
     """By a `Checker` that misses a frame of every counter between two frames, so that every step is
-    tolerated: a log has no ticks in which nothing came.
+    tolerated: a log has no empty ticks.
     """
     database = load_database(RIG)
     message = database.messages[0]

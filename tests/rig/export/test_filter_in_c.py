@@ -74,7 +74,8 @@ def test_the_loops_are_those_of_the_exported_law(precision: Precision) -> None:
 
     law = law_files(precision)["biquad.c"].replace("cascade->n", "FILTER_SECTIONS")
     own = re.sub(r"\b(float|double)\b", "real", CONSTANT.in_precision(precision).to_c()["filter.c"])
-    assert loops(own) == loops(law)[1:]  # the first is biquad_output
+    assert len(loops(own)) == 2
+    assert set(loops(own)) < set(loops(law))  # the law has biquad_output too
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

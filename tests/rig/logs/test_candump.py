@@ -202,7 +202,7 @@ def test_damage_is_refused_or_read_and_never_more(tmp_path_factory, junk, at, cu
 
 
 def test_cut_off_at_every_byte(tmp_path: Path) -> None:
-    """Every line that has its end is read; of the last one, what cannot go on."""
+    """Each whole line is read, and of a cut last line each field with an end."""
     every = rows(whole(written(tmp_path, DIRECTED)))
     text = DIRECTED.encode()
     for cut in range(len(text) + 1):

@@ -75,7 +75,7 @@ def nodes_of(run: subprocess.Popen[str]) -> dict[str, int]:
 def alive(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):  # of a process that ends meanwhile
         return False
 
 

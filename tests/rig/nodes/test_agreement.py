@@ -89,8 +89,8 @@ def test_both_end_and_name_the_first_key_that_differs(setting, key, tmp_path):
 
 
 def test_in_real_time_too(tmp_path, monkeypatch):
-    # This process is to stay an ordinary one: no SCHED_FIFO, no core of its own, for good.
-    monkeypatch.setattr(runner, "prefer", lambda core: "nothing asked for")
+    # This process must stay ordinary: no SCHED_FIFO, and no private core, for good.
+    monkeypatch.setattr(runner, "preferred", lambda core: nullcontext("nothing asked for"))
     monkeypatch.setattr(runner, "undisturbed", nullcontext)
     ended = both_by_hand(
         f"local:{tmp_path / 'bus'}",

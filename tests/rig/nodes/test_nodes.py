@@ -179,7 +179,7 @@ def test_the_plant_holds_a_lost_channel_and_drops_it_to_zero_at_the_right_tick(
         return np.abs(dstar_under(u) - measured).max()
 
     assert misfit(hold) < LSB
-    assert misfit(hold - 1) > 100 * LSB  # one tick more or less would show
+    assert misfit(hold - 1) > 100 * LSB  # a tick more or less shows
     assert misfit(hold + 1) > 100 * LSB
     reason = "no_new_data" if kind == "frames-missing" else "wrong_crc"
     assert summary.rejected_frames[NAMES[2 + channel]][reason] == len(lost)

@@ -23,7 +23,7 @@ class System:
             "sched_getscheduler": os.SCHED_OTHER,
             "sched_getparam": os.sched_param(0),
         }
-        for name, answer in answers.items():  # of the process that asks, whose number is 0
+        for name, answer in answers.items():  # of the asking process, number 0
             monkeypatch.setattr(os, name, {0: answer}.__getitem__)
         for name in ("sched_setaffinity", "sched_setscheduler"):
             monkeypatch.setattr(

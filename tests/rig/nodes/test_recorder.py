@@ -155,7 +155,7 @@ def test_a_disk_that_is_full_is_one_line(tmp_path):
 
 
 def test_a_node_that_joins_late_counts_its_own_ticks_only():
-    """Nor does it count how long it has waited for the first of them."""
+    """And not the wait for the first tick."""
     clock, reached = TurnedClock(), []
     pace = Pace(clock, reached.append)
     assert pace.ticks_per_s == 0.0

@@ -55,7 +55,7 @@ def test_a_loss_is_confirmed_and_compensated_without_an_alarm_before(model, base
     assert not np.isin(trace.fault_state[~lost], (FaultState.SUSPECTED, FaultState.CONFIRMED)).any()
     assert trace.time_s[lost][trace.fault_state[lost] == FaultState.CONFIRMED][0] < LOST_S + 0.1
     settled = trace.time_s >= 3.5
-    noise_mps2 = chosen.plant.sensor.noise_mps2  # D* itself is quieter than what measures it
+    noise_mps2 = chosen.plant.sensor.noise_mps2  # more than D* has
     assert np.abs(trace.error[settled]).max() < 1e-4 + noise_mps2
     assert np.abs(trace.command_2[settled]).min() > 500.0
 

@@ -1,4 +1,4 @@
-"""What the actuators applied, as reconstructed from a log: it must move the plant as it moved."""
+"""What the actuators applied, reconstructed from a log, moves the plant like the run."""
 
 from __future__ import annotations
 

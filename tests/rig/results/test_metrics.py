@@ -45,8 +45,8 @@ def test_a_fault_where_nothing_acts_changes_nothing(run: Run) -> None:
     ("settings", "first", "last", "missed"),
     [
         ([], 0, 0, None),
-        ([], 0, 1000, None),  # not any more when it was lost
-        ([], 1500, 2000, None),  # only when it had come back
+        ([], 0, 1000, None),  # the loss found it ended
+        ([], 1500, 2000, None),  # only after its return
         ([], 1200, 1201, True),
         (["latency_ticks=2"], 0, 998, None),
         (["latency_ticks=2"], 0, 999, True),  # on its way when the actuator died
@@ -119,7 +119,7 @@ def test_noise_in_the_commands_is_that_of_the_exact_covariance(run: Run) -> None
         check_stability(scenario).healthy.noise_to_command_2 * scenario.plant.sensor.noise_mps2
     )
     found = metrics(scenario, signals)["force_difference_noise_rms_n"]
-    assert found == pytest.approx(expected, rel=0.15)  # 2 s of noise that lasts for some ms
+    assert found == pytest.approx(expected, rel=0.15)  # 2 s of a noise of some ms
 
 
 def test_what_counts_from_the_fault_on_counts_after_its_end_too() -> None:

@@ -17,7 +17,7 @@ NAMES = {"input_1": "u1", "input_2": "u2", "output": "y"}
 
 
 def line_of(plant: dict) -> str:
-    """What a run of this plant is refused with."""
+    """The line that refuses a run of ``plant``."""
     with pytest.raises(ScenarioError) as caught:
         settings = draft("mine", {"plant": plant}).scenario.plant
         load_plant(settings.kind, settings)
