@@ -23,6 +23,7 @@ from can_rig.export.costs import BOARDS_OF, instructions, instructions_by_file, 
 from can_rig.export.findings import COMPILERS, coverage, eva, findings, misra
 from can_rig.export.law import law_modules
 from can_rig.export.provenance import MANIFEST, PROJECT
+from can_rig.frames.network import Network
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import FloatArray
@@ -55,12 +56,12 @@ def evidence(
     Raises:
         ExportError: a tool refuses.
     """
-    node = application(scenario)
+    node, network = application(scenario), network_of(scenario)
     boards = BOARDS_OF[scenario.design.precision]
     measured: dict[str, Callable[[], Any]] = {
         "trials": lambda: asdict(coverage(scenario)),
         "memory": lambda: {each: asdict(sizes(law_of(node), each)) for each in boards},
-        "instructions": lambda: {each: _instructions(scenario, each, runs) for each in boards},
+        "instructions": lambda: {each: _instructions(node, network, each, runs) for each in boards},
         "misra": lambda: misra(files),
         "eva": lambda: eva(files),
     }
@@ -99,10 +100,11 @@ def _version(tool: str) -> str | None:
     return next(iter(said.splitlines()), "no version given")
 
 
-def _instructions(scenario: Scenario, board: str, runs: Mapping[str, FloatArray]) -> Record:
+def _instructions(
+    node: Mapping[str, str], network: Network, board: str, runs: Mapping[str, FloatArray]
+) -> Record:
     """Instructions a tick on a board: of the law, of the whole node, of each part, in each run."""
     own, *_ = runs.values()
-    node, network = application(scenario), network_of(scenario)
     law = law_of(node)
     counts = instructions(law, board, own)
     of_node = {name: instructions(node, board, inputs, network) for name, inputs in runs.items()}

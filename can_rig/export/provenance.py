@@ -65,9 +65,7 @@ def _origins(scenario: Scenario) -> dict[str, str]:
     return {
         **{name: f"{module.replace('.', '/')}.py" for name, module in law_modules().items()},
         "constants": "firmware_model/discretisation/tables.py",
-        "network": dbc_of(scenario).name
-        if scenario.network.dbc
-        else f"dbc/{dbc_of(scenario).name}",
+        "network": ("" if scenario.network.dbc else "dbc/") + dbc_of(scenario).name,
         "self_test_data": "can_rig/export/self_test.py",
     }
 

@@ -189,8 +189,9 @@ def test_two_counters_count_the_same() -> None:
     by_file = instructions_by_file(law, "m4f", inputs)
     assert by_file["turn.c"] == pytest.approx(1000, abs=5)
     assert sum(by_file.values()) == pytest.approx(instructions(law, "m4f", inputs).mean(), rel=0.01)
-    found = evidence._instructions(SCENARIO, "m4f", {"own": inputs})
-    counts = instructions(node, "m4f", inputs, network_of(SCENARIO))
+    network = network_of(SCENARIO)
+    found = evidence._instructions(node, network, "m4f", {"own": inputs})
+    counts = instructions(node, "m4f", inputs, network)
     assert sum(found["mean of each part"].values()) == pytest.approx(counts.mean(), rel=0.01)
     worst = found["node"]["own"]
     assert counts[worst["tick of the worst"]] == counts.max()

@@ -19,6 +19,14 @@ FD_SIGNALS = {
     "command_2": "M4.Value", "fault_estimate": "M5.Value", "mode": "M5.Mode",
     "fault_state": "M5.Fault",
 }  # fmt: skip
+ESP12 = """
+BO_ 1310 ESP12: 8 VMC
+ SG_ YAW_RATE : 40|13@1+ (0.01,-40.95) [-40.95|40.96] "deg/s" EPS
+ SG_ LAT_ACCEL : 24|11@1+ (0.01,-10.23) [-10.23|10.24] "m/s^2" EPS
+ SG_ Count : 0|16@1+ (1,0) [0|65535] "" EPS
+"""
+"""Yaw rate and lateral acceleration in one message, as in a car."""
+CALM = {"noise": 0.0, "resolution": 0.0, "corner_hz": 0.0}
 
 
 def options(

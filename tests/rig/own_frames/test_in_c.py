@@ -36,7 +36,15 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import draft
 from firmware_model.law.structs import Precision
 from tests.rig.export.shared import EMULATED, STRICT, frames_in_c, log_from, log_of, run
-from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database, options
+from tests.rig.own_frames.scenarios import (
+    CALM,
+    ESP12,
+    FD_SIGNALS,
+    MOTOROLA,
+    SIGNALS,
+    database,
+    options,
+)
 
 IDS = {role: 7 * n for n, role in enumerate(ROLES, 1)}
 
@@ -217,17 +225,11 @@ def test_any_frames_are_answered_and_judged_alike(own: dict[str, list[str]], lay
         assert nodes[0].rejected() == nodes[1].rejected()
 
 
-SENSORS = """
-BO_ 1310 ESP12: 8 VMC
- SG_ YAW : 40|13@1+ (0.01,-40.95) [-40.95|40.96] "deg/s" EPS
- SG_ LAT : 24|11@1+ (0.01,-10.23) [-10.23|10.24] "m/s^2" EPS
- SG_ Count : 0|16@1+ (1,0) [0|65535] "" EPS
-
+SENSORS = f"""{ESP12}
 BO_ 1312 DRV_Echo: 5 VMC
  SG_ Force : 23|16@0- (0.5,0) [-16000|16000] "N" EPS
 
 """
-CALM = {"noise": 0.0, "resolution": 0.0, "corner_hz": 0.0}
 HEARD = [
     {"measures": "yaw-rate", "period_s": 0.01, **CALM},
     {"measures": "lateral-acceleration", "period_s": 0.01, **CALM},
@@ -250,7 +252,7 @@ def test_sensors_are_heard_in_the_units_of_the_database(
     """Two sensors in one message, one mirrored; without sensors the node answers otherwise."""
     path = tmp_path / "car.dbc"
     path.write_text(MOTOROLA.read_text().replace("BO_ 1304", f"{SENSORS}BO_ 1304"))
-    roles = {"yaw_rate": "ESP12.YAW", "lateral_acceleration": "ESP12.LAT",
+    roles = {"yaw_rate": "ESP12.YAW_RATE", "lateral_acceleration": "ESP12.LAT_ACCEL",
              "force_difference_echo": {"signal": "DRV_Echo.Force", "factor": -0.5}}  # fmt: skip
     values = {
         "duration_s": 0.8, "latency_ticks": 1, "design": {"precision": precision}, "fault": fault,

@@ -17,14 +17,9 @@ from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import draft
 from can_rig.scenario.settings import Scenario
-from tests.rig.own_frames.scenarios import MOTOROLA, SIGNALS
+from tests.rig.own_frames.scenarios import CALM, ESP12, MOTOROLA, SIGNALS
 
-OF_A_CAR = """
-BO_ 1310 ESP12: 8 VMC
- SG_ YAW_RATE : 40|13@1+ (0.01,-40.95) [-40.95|40.96] "deg/s" EPS
- SG_ LAT_ACCEL : 24|11@1+ (0.01,-10.23) [-10.23|10.24] "m/s^2" EPS
- SG_ Count : 0|16@1+ (1,0) [0|65535] "" EPS
-
+OF_A_CAR = f"""{ESP12}
 BO_ 1311 ESP13: 4 VMC
  SG_ LAT_ACCEL : 7|16@0- (0.001,0) [-2|2] "g" EPS
 
@@ -32,7 +27,6 @@ BO_ 1312 SAS11: 5 VMC
  SG_ Angle : 16|16@1- (0.1,0) [-3000|3000] "deg" EPS
  SG_ Word : 32|8@1- (1,0) [-100|100] "furlong" EPS
 """
-CALM = {"noise": 0.0, "resolution": 0.0, "corner_hz": 0.0}
 SENSORS = [
     {"measures": "yaw-rate", "period_s": 0.02, **CALM},
     {"measures": "lateral-acceleration", "phase_s": 0.005, **CALM},
