@@ -197,6 +197,11 @@ def test_a_sample_comes_on_time_and_once(cluster: Path) -> None:
     assert [at for at, age in enumerate(ages[1]) if age == 0.0] == [6, 16, 26, 36]
     assert set(ages[1]) == {-1.0, 0.0}
     assert ages[5] == [-1.0, -1.0, 4.0, -1.0, 4.0, -1.0, 4.0, -1.0]
+    car = EXAMPLE["Part"](cluster / "fmi2" / "car_cluster.fmu", {})
+    nothing = {f"{name}_error": float("nan") for name in ("measurement", "torque_echo_nm")}
+    said = [car.step(nothing, 0.001) for _ in range(10)]
+    assert all(np.isnan(each["measurement"]) for each in said)
+    assert {each["torque_echo_nm_age_ticks"] for each in said} == {-1.0}
 
 
 def test_a_car_without_commands_holds_them_and_then_lets_go(tmp_path: Path) -> None:
