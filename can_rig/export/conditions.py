@@ -1,11 +1,12 @@
 """MC/DC of C, measured by a variant of the files that records the values of all conditions.
 
-Compilers before gcc 14 and clang 18 measure no MC/DC. A decision stands in ``if``, in a loop, before
-``?``, or in another expression with a comparison, ``&&``, ``||`` or ``!``. The conditions of a
-decision are the parts without ``&&``, ``||`` and ``!``. The variant records each combination of
+Compilers before gcc 14 and clang 18 measure no MC/DC. A decision stands in ``if``, in a loop,
+before ``?``, or in another expression with a comparison, ``&&``, ``||`` or ``!``. The conditions of
+a decision are the parts without ``&&``, ``||`` and ``!``. The variant records each combination of
 their values; C leaves out a condition that cannot change the outcome any more.
 
-A condition is proven if the condition has decided the outcome both ways: masking MC/DC, as of gcc 14.
+A condition is proven if the condition has decided the outcome both ways: masking MC/DC, as gcc 14
+measures.
 """
 
 from __future__ import annotations
@@ -127,7 +128,7 @@ class _File:
                 self._pair |= {begin: at, at: begin}
 
     def decisions(self) -> Iterator[tuple[Span, list[Span], Decision]]:
-        """Places of a decision and of its conditions, and the decision; the outer before the inner."""
+        """Places of a decision and of its conditions, and the decision; outer decisions first."""
         spans = set()
         for at, word in enumerate(self._words):
             if word in {"if", "while"}:
