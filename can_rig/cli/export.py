@@ -13,7 +13,8 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.options import force_option, scenario_options
 from can_rig.cli.output import say, tell
 from can_rig.export.application import exported, in_precision, write
-from can_rig.export.fmu import controller_model, name_of, write_fmus
+from can_rig.export.controller_fmu import controller_model, node_model
+from can_rig.export.fmu import name_of, write_fmus
 from can_rig.plant.car_fmu import car_model, write_inputs
 from can_rig.scenario.fault_settings import FaultKind, FaultSettings
 from can_rig.scenario.settings import Scenario
@@ -100,7 +101,7 @@ def command(
 
 def _write_fmus(scenario: Scenario, out: Path, force: bool) -> None:
     car = car_model(scenario)
-    for model in (controller_model(scenario), *([] if car is None else [car])):
+    for model in (controller_model(scenario), node_model(scenario), *([car] if car else [])):
         for path in write_fmus(model, out, force):
             say(str(path))
     if car is None:
