@@ -55,8 +55,8 @@ FAULTS: Final[
     "--fmu",
     "as_fmu",
     is_flag=True,
-    help="Write FMUs of the controller and the car in place of the folder: FOLDER/fmi2 and "
-    "FOLDER/fmi3, co-simulation, with the C sources and this machine's binary.",
+    help="Write FMUs of the controller, of the controller with its CAN frames and of the car in "
+    "place of the folder: FOLDER/fmi2 and FOLDER/fmi3, with C sources and this machine's binary.",
 )
 @click.option(
     "--evidence",

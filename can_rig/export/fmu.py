@@ -173,8 +173,7 @@ def _write(
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ExportError(f"{path.parent}: cannot be made: {error.strerror}") from None
-    machine = platform.machine()
-    place = {"2": "linux64" if machine == "x86_64" else f"linux-{machine}", "3": f"{machine}-linux"}
+    place = {"2": "linux64", "3": f"{platform.machine()}-linux"}
     contents: dict[str, str | bytes] = {
         "modelDescription.xml": description.text(sources),
         **{f"sources/{file}": text for file, text in sorted(sources.items())},

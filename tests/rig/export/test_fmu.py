@@ -20,6 +20,7 @@ from fmpy.simulation import instantiate_fmu
 from fmpy.validation import validate_fmu
 
 import can_rig
+from can_rig.assessment.resolve import load
 from can_rig.errors import ExportError, LogError, RigError
 from can_rig.export.controller_fmu import controller_model, node_model
 from can_rig.export.fmu import write_fmus
@@ -33,6 +34,7 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 from tests.helpers import asked
 from tests.rig.export.shared import STRICT, run
+from tests.rig.own_frames.scenarios import FD_SIGNALS, database, options
 
 SHORT: dict[str, object] = {"duration_s": 0.6, "fault.at_s": 0.3}
 CASES: dict[str, tuple[str, dict[str, object]]] = {
@@ -113,9 +115,18 @@ def written(scenario: Scenario, folder: Path) -> None:
     assert write_inputs(scenario, folder / f"inputs_{name}.csv", force=False) == []
 
 
-@pytest.mark.parametrize("case", LOOPS)
+def with_floats(folder: Path) -> Scenario:
+    """`default` with frames of CAN FD, identifiers of 29 bits and floats of 32."""
+    path = folder / "own.dbc"
+    text = database("48|32@1- (1,0) [0|0]", 16, first_id=0x80001300, types="1", fd=True)
+    path.write_text(text, encoding="utf-8")
+    short = [f"{key}={value}" for key, value in SHORT.items()]
+    return load("default", [*options(path, FD_SIGNALS), *short])
+
+
+@pytest.mark.parametrize("case", [*LOOPS, "floats"])
 def test_both_in_a_loop_are_the_rig_bit_for_bit(case: str, tmp_path: Path) -> None:
-    ours = can_rig.load_scenario(*LOOPS[case])
+    ours = with_floats(tmp_path) if case == "floats" else can_rig.load_scenario(*LOOPS[case])
     written(ours, tmp_path)
     network = network_of(ours)
     trace = frameless(ours, network)
@@ -173,7 +184,9 @@ def test_the_rig_drives_both_bit_for_bit(version: int, tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fmus")
-    written(can_rig.load_scenario("cluster", LONGER), folder)
+    ours = can_rig.load_scenario("cluster", LONGER)
+    written(ours, folder)
+    write_fmus(node_model(ours), folder, force=False)
     return folder
 
 
@@ -277,14 +290,17 @@ def transmit(frame: can.Message) -> bytes:
     return head + bytes(frame.data)
 
 
-@pytest.mark.parametrize("name", ["cluster", "drive-cycle"])
+@pytest.mark.parametrize("name", ["cluster", "drive-cycle", "floats"])
 def test_the_node_on_a_bus_sends_the_frames_of_the_rig(name: str, tmp_path: Path) -> None:
-    ours = can_rig.load_scenario(name, LONGER)
+    ours = with_floats(tmp_path) if name == "floats" else can_rig.load_scenario(name, LONGER)
     (path,) = write_fmus(node_model(ours), tmp_path, force=False)
     assert validate_fmu(str(path)) == []
     node = OnTheBus(path, tmp_path / "unpacked")
     network = network_of(ours)
-    own = {each.frame_id for each in (network.command_1, network.command_2, network.status)}
+    own = {
+        each.frame_id & 0x1FFFFFFF
+        for each in (network.command_1, network.command_2, network.status)
+    }
     ticks: list[tuple[list[bytes], list[bytes]]] = []
     ran = can_rig.run(ours)  # keeps its folder
     for frame in can.CanutilsLogReader(ran.folder / LOG):
@@ -302,10 +318,9 @@ def test_the_node_on_a_bus_sends_the_frames_of_the_rig(name: str, tmp_path: Path
 
 
 def test_the_node_answers_an_operation_that_it_does_not_understand(
-    tmp_path: Path,
+    cluster: Path, tmp_path: Path
 ) -> None:
-    (path,) = write_fmus(node_model(can_rig.load_scenario("cluster", LONGER)), tmp_path, False)
-    node = OnTheBus(path, tmp_path / "unpacked")
+    node = OnTheBus(cluster / "fmi3" / "node_cluster.fmu", tmp_path)
     node.event()
     confirm = struct.pack("<III", 0x20, 12, 0x100)
     remote = struct.pack("<IIIBBH", 0x10, 16, 0x100, 0, 1, 0)
@@ -372,7 +387,9 @@ def test_a_step_of_several_ticks_holds_the_inputs(exported: Path, tmp_path: Path
         fmu.freeInstance()
 
 
-@pytest.mark.parametrize("file", ["fmi3/car_cluster.fmu", "fmi2/controller_cluster.fmu"])
+@pytest.mark.parametrize(
+    "file", ["fmi3/car_cluster.fmu", "fmi2/controller_cluster.fmu", "fmi3/node_cluster.fmu"]
+)
 def test_the_sources_within_build_without_a_warning(
     file: str, cluster: Path, tmp_path: Path
 ) -> None:
@@ -382,7 +399,8 @@ def test_the_sources_within_build_without_a_warning(
     units = [each.get("name") for tag in ("SourceFile", "File") for each in build.iter(tag)]
     flags = [*STRICT, "-fPIC", "-shared", "-ffp-contract=off", "-lm", "-o", tmp_path / "again.so"]
     run("cc", *(tmp_path / "sources" / str(unit) for unit in units), *flags)
-    assert {"fmu.c", "fmi2.c", "fmi3.c"} <= set(units)
+    assert {"fmu.c", "fmi3.c"} <= set(units)
+    assert ("fmi2.c" in units) == ("node" not in file)
 
 
 def test_the_same_controller_is_the_same_file(exported: Path, tmp_path: Path) -> None:
