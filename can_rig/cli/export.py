@@ -11,9 +11,11 @@ import click
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.options import force_option, scenario_options
-from can_rig.cli.output import say
+from can_rig.cli.output import say, tell
 from can_rig.export.application import exported, in_precision, write
-from can_rig.export.fmu import write_fmu
+from can_rig.export.controller_fmu import controller_model, node_model
+from can_rig.export.fmu import name_of, write_fmus
+from can_rig.plant.car_fmu import car_model, write_inputs
 from can_rig.scenario.fault_settings import FaultKind, FaultSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import Precision
@@ -53,8 +55,8 @@ FAULTS: Final[
     "--fmu",
     "as_fmu",
     is_flag=True,
-    help="Write FOLDER/SCENARIO.fmu in place of the folder: FMI 3.0, co-simulation, with the C "
-    "sources and this machine's binary.",
+    help="Write FMUs of the controller, of the controller with its CAN frames and of the car in "
+    "place of the folder: FOLDER/fmi2 and FOLDER/fmi3, with C sources and this machine's binary.",
 )
 @click.option(
     "--evidence",
@@ -86,7 +88,7 @@ def command(
         if with_evidence or prefix is not None:
             option = "--evidence" if with_evidence else "--prefix"
             raise click.UsageError(f"--fmu and {option} do not go together")
-        say(str(write_fmu(chosen, out, force)))
+        _write_fmus(chosen, out, force)
         return
     files = exported(chosen, prefix)
     write(files, out, force)
@@ -95,6 +97,20 @@ def command(
     if with_evidence:
         write(files | _record(chosen, files), out, force=True)
         say(f"{out / 'evidence.html'}, and the same as evidence.json")
+
+
+def _write_fmus(scenario: Scenario, out: Path, force: bool) -> None:
+    car = car_model(scenario)
+    for model in (controller_model(scenario), node_model(scenario), *([car] if car else [])):
+        for path in write_fmus(model, out, force):
+            say(str(path))
+    if car is None:
+        say("no FMU of the car: plant must be linear, without a drive and without disturbances")
+        return
+    inputs = out / f"{name_of('inputs', scenario)}.csv"
+    for fault in write_inputs(scenario, inputs, force):
+        tell(f"{inputs}: has no input for {fault.kind}")
+    say(str(inputs))
 
 
 def _record(scenario: Scenario, files: dict[str, str]) -> dict[str, str]:

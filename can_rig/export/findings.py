@@ -1,6 +1,7 @@
 """Findings in the exported files, and coverage of the C code by the back-to-back trials.
 
-Compilers and analysers give the findings; gcov gives lines and branches. Missing tools are skipped.
+Compilers and analysers give the findings; gcov gives lines, ``conditions`` MC/DC. Missing tools are
+skipped.
 """
 
 from __future__ import annotations
@@ -8,7 +9,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import subprocess
 import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Mapping
@@ -16,8 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from can_rig.export.application import application, bench
+from can_rig.export.application import BENCH, exported
 from can_rig.export.compiler import WARNINGS, placed, run
+from can_rig.export.conditions import RECORDER, Recording
 from can_rig.export.law import law_files, parts_of, support
 from can_rig.export.trials import (
     HOST_FLAGS,
@@ -32,24 +33,29 @@ from can_rig.export.trials import (
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
-MEMORIES: Final = 100
-TICKS: Final = 12
-NODES: Final = range(20)
+SEEDS: Final = range(8)
+MEMORIES: Final = 500
+TICKS: Final = 4
+NODES: Final = range(100)
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Coverage of lines and branches."""
+    """Coverage of lines and conditions."""
 
     compared: int
     """Compared states of the law; ``different`` counts differences from Python."""
     different: int
     lines: int
     lines_run: int
-    branches: int
-    branches_taken: int
+    decisions: int
+    conditions: int
+    conditions_proven: int
+    """Conditions that have decided the outcome of their decision both ways."""
     missed: tuple[str, ...]
     """Lines without coverage, as ``file:line``."""
+    unproven: tuple[tuple[str, str, str], ...]
+    """The other conditions: ``file:line``, condition, and what the trials had of the condition."""
 
 
 def coverage(scenario: Scenario) -> Coverage:
@@ -60,52 +66,72 @@ def coverage(scenario: Scenario) -> Coverage:
     Raises:
         ExportError: gcc refuses, or a program ends early.
     """
-    precision, whole = scenario.design.precision, application(scenario)
-    blends = "schedule.c" in whole
+    precision, files = scenario.design.precision, exported(scenario)
+    node = _application(files)
+    blends, recording = "schedule.c" in node, Recording(node)
     law = law_files(precision, blends)
-    trials = random_trials(precision, 0, MEMORIES, TICKS, blends)
-    answers, parts = _measured(trial_files(law), encoded(trials), {*law})
-    _, others = _measured(
-        whole | bench(whole),
-        as_orders(network_of(scenario), NODES, round(scenario.tick_s * 1e6)),
-        {*whole} - {*law},
-    )
-    lines, branches = {}, []
-    for name, each in (*parts, *others):
-        lines[f"{name}:{each['line_number']}"] = each["count"]
-        branches += [branch["count"] for branch in each["branches"]]
-    missed = tuple(place for place, count in lines.items() if not count)
-    return Coverage(
-        sum(trial.answers for trial in trials),
-        different(in_python(trials), answers, trials),
-        len(lines),
-        len(lines) - len(missed),
-        len(branches),
-        sum(count > 0 for count in branches),
-        missed,
-    )
-
-
-def _measured(
-    files: Mapping[str, str], orders: bytes, wanted: set[str]
-) -> tuple[bytes, list[tuple[str, dict[str, Any]]]]:
-    """A program's answers, and gcov's record of every line of the ``wanted`` files."""
+    of_law = trial_files({name: recording.files[name] for name in (*law, *RECORDER)})
+    of_node = recording.files | {name: files[name] for name in BENCH}
+    frames = as_orders(network_of(scenario), NODES, round(scenario.tick_s * 1e6))
+    compared = differing = 0
     with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
-        folder = Path(place)
-        units = placed(folder, {**files, "bench_main.c": support("bench_main.c")})
-        run(["gcc", *HOST_FLAGS, "-O0", "--coverage", "-o", "program", *units, "-lm"], folder)
-        answers = on_host(folder / "program", orders)
-        found = []
-        for data in sorted(folder.glob("*.gcda")):
-            said = subprocess.run(
-                ["gcov", "--json-format", "--stdout", "--branch-probabilities", data.name],
-                cwd=folder, capture_output=True, check=True, text=True,
-            ).stdout  # fmt: skip
-            for file in json.loads(said)["files"]:
-                name = Path(file["file"]).name
-                if name in wanted and name.endswith(".c"):
-                    found += [(name, line) for line in file["lines"]]
-    return answers, found
+        law_program, node_program = (
+            _program(Path(place) / name, texts)
+            for name, texts in (("law", of_law), ("node", of_node))
+        )
+        for seed in SEEDS:
+            trials = random_trials(precision, seed, MEMORIES, TICKS, blends)
+            compared += sum(trial.answers for trial in trials)
+            answers = on_host(law_program, encoded(trials))
+            differing += different(in_python(trials), answers, trials)
+        on_host(node_program, frames)
+        counts = {
+            f"{name}:{line}": n
+            for program, is_law in ((law_program, True), (node_program, False))
+            for (name, line), n in _lines(program).items()
+            if name in node and name.endswith(".c") and (name in law) is is_law
+        }
+        seen = [
+            recording.seen((program.parent / "seen").read_bytes())
+            for program in (law_program, node_program)
+        ]
+    missed = tuple(place for place, n in counts.items() if not n)
+    unproven = tuple(
+        each
+        for decision, of_trials, of_frames in zip(recording.decisions, *seen, strict=True)
+        for each in decision.unproven(of_trials if decision.file in law else of_frames)
+    )
+    conditions = sum(len(decision.texts) for decision in recording.decisions)
+    return Coverage(
+        compared=compared,
+        different=differing,
+        lines=len(counts),
+        lines_run=len(counts) - len(missed),
+        decisions=len(recording.decisions),
+        conditions=conditions,
+        conditions_proven=conditions - len(unproven),
+        missed=missed,
+        unproven=unproven,
+    )
+
+
+def _program(folder: Path, files: Mapping[str, str]) -> Path:
+    """Built in its own folder, where each run adds to the counts."""
+    folder.mkdir()
+    units = placed(folder, {**files, "bench_main.c": support("bench_main.c")})
+    run(["gcc", *HOST_FLAGS, "-O0", "--coverage", "-o", "program", *units, "-lm"], folder)
+    return folder / "program"
+
+
+def _lines(program: Path) -> dict[tuple[str, int], int]:
+    """How often each line ran, by file and number."""
+    found = {}
+    for data in sorted(program.parent.glob("*.gcda")):
+        said = run(["gcov", "--json-format", "--stdout", data.name], program.parent)
+        for file in json.loads(said)["files"]:
+            for line in file["lines"]:
+                found[Path(file["file"]).name, line["line_number"]] = line["count"]
+    return found
 
 
 STRICT: Final = ("-std=c99", *WARNINGS, "-O2", "-c")
@@ -114,7 +140,7 @@ COMPILERS: Final = {
 }  # fmt: skip
 """The program of each tool that ``findings`` asks."""
 
-BENCH: Final = ("check.c", "main.c", "bench_main.c", "bench.c", "bench.h", "harness.c", "harness.h")
+OUTSIDE: Final = (*BENCH, "check.c", "main.c", "bench_main.c")
 """Files outside the application: examples and the bench."""
 
 EVA: Final = (
@@ -215,5 +241,5 @@ def _application(files: Mapping[str, str]) -> dict[str, str]:
     return {
         name: text
         for name, text in files.items()
-        if name not in BENCH and name.endswith((".c", ".h"))
+        if name not in OUTSIDE and name.endswith((".c", ".h"))
     }

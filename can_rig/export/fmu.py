@@ -1,160 +1,290 @@
-"""The controller as an FMU of FMI 3.0 for co-simulation, with C sources and a binary."""
+"""FMUs of FMI 2.0 and 3.0 for co-simulation, from one set of C sources."""
 
 from __future__ import annotations
 
+import hashlib
 import platform
 import re
 import zipfile
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, NamedTuple
 from xml.etree import ElementTree as Xml
 
-from can_rig.drawing.names import names_of
 from can_rig.errors import ExportError
-from can_rig.export.application import BY_HAND, application, identity
 from can_rig.export.compiler import FLAGS, built, host_compiler
-from can_rig.export.law import numbers_of, parts_of, support
+from can_rig.export.law import NODE, support
 from can_rig.files import atomic
 from can_rig.scenario.settings import Scenario
 
-OF_THE_NODE: Final = {
-    name for name in (*BY_HAND, "network.c") if name.startswith(("e2e", "frames", "ecu", "network"))
-}
-"""Files of an application that a controller without frames does not need."""
-
-TYPES: Final = (
+TYPES_3: Final = (
     "Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64", "Boolean",
     "String", "Binary", "Clock",
 )  # fmt: skip
-REFUSED: Final = (
-    *(f"{do}{kind}" for kind in TYPES for do in ("Get", "Set")), "SetInt32",
-    "GetNumberOfVariableDependencies", "GetVariableDependencies", "GetFMUState", "SetFMUState",
-    "FreeFMUState", "SerializedFMUStateSize", "SerializeFMUState", "DeserializeFMUState",
-    "GetDirectionalDerivative", "GetAdjointDerivative", "EnterConfigurationMode",
-    "ExitConfigurationMode", "GetIntervalDecimal", "GetIntervalFraction", "GetShiftDecimal",
-    "GetShiftFraction", "SetIntervalDecimal", "SetIntervalFraction", "SetShiftDecimal",
-    "SetShiftFraction", "EvaluateDiscreteStates", "UpdateDiscreteStates", "EnterEventMode",
-    "EnterStepMode", "GetOutputDerivatives", "EnterContinuousTimeMode", "CompletedIntegratorStep",
-    "SetTime", "SetContinuousStates", "GetContinuousStateDerivatives", "GetEventIndicators",
-    "GetContinuousStates", "GetNominalsOfContinuousStates", "GetNumberOfEventIndicators",
-    "GetNumberOfContinuousStates", "ActivateModelPartition",
+REFUSED: Final = {
+    "2": (
+        *(f"{do}{kind}" for kind in ("Boolean", "String") for do in ("Get", "Set")),
+        "GetFMUstate", "SetFMUstate", "FreeFMUstate", "SerializedFMUstateSize",
+        "SerializeFMUstate", "DeSerializeFMUstate", "GetDirectionalDerivative",
+        "SetRealInputDerivatives", "GetRealOutputDerivatives", "CancelStep", "GetStatus",
+        "GetRealStatus", "GetIntegerStatus", "GetBooleanStatus", "GetStringStatus",
+    ),
+    "3": (
+        *(f"{do}{kind}" for kind in TYPES_3 for do in ("Get", "Set")),
+        "GetNumberOfVariableDependencies", "GetVariableDependencies", "GetFMUState", "SetFMUState",
+        "FreeFMUState", "SerializedFMUStateSize", "SerializeFMUState", "DeserializeFMUState",
+        "GetDirectionalDerivative", "GetAdjointDerivative", "EnterConfigurationMode",
+        "ExitConfigurationMode", "GetIntervalDecimal", "GetIntervalFraction", "GetShiftDecimal",
+        "GetShiftFraction", "SetIntervalDecimal", "SetIntervalFraction", "SetShiftDecimal",
+        "SetShiftFraction", "EvaluateDiscreteStates", "UpdateDiscreteStates", "EnterEventMode",
+        "EnterStepMode", "GetOutputDerivatives", "EnterContinuousTimeMode",
+        "CompletedIntegratorStep", "SetTime", "SetContinuousStates",
+        "GetContinuousStateDerivatives", "GetEventIndicators", "GetContinuousStates",
+        "GetNominalsOfContinuousStates", "GetNumberOfEventIndicators",
+        "GetNumberOfContinuousStates", "ActivateModelPartition",
+    ),
+}  # fmt: skip
+"""Functions of a version that need what the FMUs lack; they answer an error."""
+EVENTS: Final = (
+    "GetBinary", "SetBinary", "GetClock", "SetClock", "EnterEventMode", "EnterStepMode",
+    "UpdateDiscreteStates",
 )  # fmt: skip
-"""Functions of the standard that need what the FMU lacks; they answer an error."""
+"""Functions that a node on a bus has nevertheless."""
 
-CODES: Final = ("mode", "fault_state", "verdict")
+KINDS_3: Final = {"Real": "Float64", "Integer": "Int32"}
+"""Types of FMI 3.0 by those of FMI 2.0."""
+TICKS: Final = "ticks since the sample; negative: no valid sample in this step"
 FIRST_DAY: Final = (1980, 1, 1, 0, 0, 0)
-"""The time stamp of every file: the same controller gives the same FMU."""
+"""The time stamp of every file: the same model gives the same FMU."""
+
+BASE_UNITS: Final[dict[str, dict[str, str]]] = {
+    "s": {"s": "1"},
+    "m/s": {"m": "1", "s": "-1"},
+    "m/s²": {"m": "1", "s": "-2"},
+    "rad": {"rad": "1"},
+    "rad/s": {"rad": "1", "s": "-1"},
+    "N": {"kg": "1", "m": "1", "s": "-2"},
+    "N m": {"kg": "1", "m": "2", "s": "-2"},
+}
+"""Exponents of the SI units; a unit of the user's has none."""
 
 
-def write_fmu(scenario: Scenario, folder: Path, force: bool) -> Path:
-    """Write ``FOLDER/SCENARIO.fmu``; returns the path.
+class Variable(NamedTuple):
+    """A variable of a model."""
+
+    name: str
+    causality: str
+    words: str = ""
+    unit: str = ""
+    start: str | None = None
+    kind: str = "Real"
+    most: str | None = None
+    attributes: Mapping[str, str] = {}
+
+
+class Model(NamedTuple):
+    """What becomes an FMU.
+
+    Attributes:
+        name: of the model, a name in C.
+        words: a description.
+        scenario: gives tick and duration.
+        sources: text by file name, apart from those of every FMU.
+        parts: of handwritten files.
+        variables: real inputs, real outputs, whole parameters, whole outputs, others.
+        files: further files, text by name.
+    """
+
+    name: str
+    words: str
+    scenario: Scenario
+    sources: Mapping[str, str]
+    parts: Collection[str]
+    variables: Sequence[Variable]
+    files: Mapping[str, str] = {}
+
+    @property
+    def is_node(self) -> bool:
+        """Whether the model sends and receives frames in events, which FMI 2.0 lacks."""
+        return NODE in self.parts
+
+    @property
+    def versions(self) -> tuple[str, ...]:
+        """Of FMI."""
+        return ("3",) if self.is_node else ("2", "3")
+
+
+def name_of(part: str, scenario: Scenario) -> str:
+    """The name of a scenario's model, as C and file systems allow."""
+    return re.sub(r"\W", "_", f"{part}_{scenario.name}", flags=re.ASCII)
+
+
+def write_fmus(model: Model, folder: Path, force: bool) -> list[Path]:
+    """Write ``FOLDER/fmi2/NAME.fmu`` and ``FOLDER/fmi3/NAME.fmu``; returns the paths.
+
+    Both have the same sources and the same library, with the functions of both versions. A node on
+    a bus is of FMI 3.0 alone.
 
     Raises:
-        ScenarioError: the design fails.
-        ExportError: no compiler, or a folder that cannot be made; as ``application``.
-        LogError: the file exists and ``force`` is not given, or the file cannot be written.
+        ExportError: no compiler, or a folder that cannot be made.
+        LogError: a file exists and ``force`` is not given, or a file cannot be written.
     """
-    node = application(scenario)
-    name = re.sub(r"\W", "_", f"controller_{scenario.name}", flags=re.ASCII)
-    token = identity(node).hex()
-    sources = {file: text for file, text in node.items() if file not in OF_THE_NODE}
-    sources["fmu.c"] = support(
-        "fmu.c",
-        parts_of(sources),
-        scenario=scenario.name,
-        tick=f"{scenario.tick_s * 1e3:g} ms",
-        tick_s=repr(scenario.tick_s),
-        token=token,
-        **numbers_of(scenario.design.precision),
-        refused="\n".join(f"ANSWERS(fmi3{function}, FMI_ERROR)" for function in REFUSED),
-    )
-    library = built(host_compiler(), (*FLAGS, "-fvisibility=hidden"), sources, ".so")
-    path = folder / f"{scenario.name}.fmu"
+    sources, token = _sources(model)
+    library = built(host_compiler(), (*FLAGS, "-fvisibility=hidden"), sources, ".so").read_bytes()
+    return [
+        _write(_Description(version, model, token), sources, library, folder, force)
+        for version in model.versions
+    ]
+
+
+def _sources(model: Model) -> tuple[dict[str, str], str]:
+    """All sources of an FMU, and the token that binds the description to them."""
+    reals = [each for each in model.variables if each.kind == "Real"]
+    wholes = [each for each in model.variables if each.kind == "Integer"]
+    inputs = [each for each in reals if each.causality == "input"]
+    parameters = [each for each in model.variables if each.causality == "parameter"]
+    token = hashlib.sha256(repr((model.variables, sorted(model.sources.items()))).encode())
+    texts = {
+        "model": model.name,
+        "token": token.hexdigest()[:16],
+        "tick_s": repr(model.scenario.tick_s),
+        "latency": str(model.scenario.latency_ticks),
+        "references": ", ".join(["TIME", *(each.name.upper() for each in model.variables)]),
+        "first_output": str(1 + len(inputs)),
+        "reals": str(1 + len(reals)),
+        "parameters": str(1 + len(reals) + len(parameters)),
+        "values": str(1 + len(reals) + len(wholes)),
+    }
+    for version in model.versions:
+        left = [each for each in REFUSED[version] if not (model.is_node and each in EVENTS)]
+        lines = [f"ANSWERS(fmi{version}{function}, FMI_ERROR)" for function in left]
+        texts[f"refused_{version}"] = "\n".join(lines)
+    names = ("fmu.h", "fmu.c", *(f"fmi{version}.c" for version in model.versions))
+    wrapper = {name: support(name, model.parts, **texts) for name in names}
+    return {**model.sources, **wrapper}, texts["token"]
+
+
+def _write(
+    description: _Description, sources: Mapping[str, str], library: bytes, folder: Path, force: bool
+) -> Path:
+    name, version = description.model.name, description.version
+    path = folder / f"fmi{version}" / f"{name}.fmu"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ExportError(f"{folder}: cannot be made: {error.strerror}") from None
+        raise ExportError(f"{path.parent}: cannot be made: {error.strerror}") from None
+    place = {"2": "linux64", "3": f"{platform.machine()}-linux"}
+    contents: dict[str, str | bytes] = {
+        "modelDescription.xml": description.text(sources),
+        **{f"sources/{file}": text for file, text in sorted(sources.items())},
+        f"binaries/{place[version]}/{name}.so": library,
+        **description.model.files,
+    }
+    if version == "3":
+        contents["sources/buildDescription.xml"] = _build_description(name, sources)
     with atomic(path, force=force) as part, zipfile.ZipFile(part, "w") as fmu:
-
-        def add(file: str, content: str | bytes) -> None:
-            entry = zipfile.ZipInfo(file, FIRST_DAY)
-            fmu.writestr(entry, content, zipfile.ZIP_DEFLATED)
-
-        add("modelDescription.xml", _description(scenario, name, token))
-        add("sources/buildDescription.xml", _build_description(name, sorted(sources)))
-        for file, text in sorted(sources.items()):
-            add(f"sources/{file}", text)
-        add(f"binaries/{platform.machine()}-linux/{name}.so", library.read_bytes())
+        for file, content in contents.items():
+            fmu.writestr(zipfile.ZipInfo(file, FIRST_DAY), content, zipfile.ZIP_DEFLATED)
     return path
 
 
-def _description(scenario: Scenario, name: str, token: str) -> str:
-    output, command_1, command_2 = names_of(scenario.plant)
-    root = Xml.Element(
-        "fmiModelDescription", fmiVersion="3.0", modelName=name, instantiationToken=token,
-        description=f"The controller of scenario {scenario.name}", generationTool="can-rig",
-    )  # fmt: skip
-    tick = repr(scenario.tick_s)
-    Xml.SubElement(
-        root, "CoSimulation", modelIdentifier=name, fixedInternalStepSize=tick,
-        canHandleVariableCommunicationStepSize="true",
-    )  # fmt: skip
-    units = Xml.SubElement(root, "UnitDefinitions")
-    for unit in sorted({"s", "m/s", output.unit, command_1.unit, command_2.unit} - {""}):
-        Xml.SubElement(units, "Unit", name=unit)
-    Xml.SubElement(root, "DefaultExperiment", stepSize=tick, stopTime=repr(scenario.duration_s))
-    variables = Xml.SubElement(root, "ModelVariables")
-    Xml.SubElement(
-        variables, "Float64", name="time", valueReference="0", causality="independent",
-        variability="continuous", unit="s",
-    )  # fmt: skip
-    inputs = [("reference", output, f"wanted {output.name}"), ("measurement", output, output.name)]
-    speed = output._replace(unit="m/s")
-    if scenario.drive.is_given:
-        inputs.append(("speed_mps", speed, "speed of the car"))
-    for reference, (variable, signal, words) in enumerate(inputs, 1):
-        start = repr(scenario.model.speed_mps) if variable == "speed_mps" else "0"
-        Xml.SubElement(
-            variables, "Float64", name=variable, valueReference=str(reference), causality="input",
-            variability="discrete", start=start, description=words, **_unit(signal.unit),
+class _Description:
+    """``modelDescription.xml`` of one version of FMI."""
+
+    def __init__(self, version: str, model: Model, token: str) -> None:
+        self.version, self.model, self._token = version, model, token
+        self._is_2 = version == "2"
+
+    def text(self, sources: Collection[str]) -> str:
+        """The XML."""
+        model, tick = self.model, repr(self.model.scenario.tick_s)
+        token = "guid" if self._is_2 else "instantiationToken"
+        root = Xml.Element(
+            "fmiModelDescription", fmiVersion=f"{self.version}.0", modelName=model.name,
+            description=model.words, generationTool="can-rig", attrib={token: self._token},
         )  # fmt: skip
-    structure = Xml.SubElement(root, "ModelStructure")
-    outputs = [
-        ("command_1", command_1.unit, command_1.name),
-        ("command_2", command_2.unit, command_2.name),
-        ("fault_estimate", output.unit, "fault estimate"),
-        *((code, "", code.replace("_", " ")) for code in CODES),
-    ]
-    for reference, (variable, unit, words) in enumerate(outputs, 4):
-        Xml.SubElement(
-            variables, "Int32" if variable in CODES else "Float64", name=variable,
-            valueReference=str(reference), causality="output", variability="discrete",
-            description=words, **_unit(unit),
+        kind = Xml.SubElement(
+            root, "CoSimulation", modelIdentifier=model.name,
+            canHandleVariableCommunicationStepSize="true",
         )  # fmt: skip
-        Xml.SubElement(structure, "Output", valueReference=str(reference))
-    for reference in range(4, 4 + len(outputs)):
-        Xml.SubElement(structure, "InitialUnknown", valueReference=str(reference))
-    return _text(root)
+        if self._is_2:
+            _source_files(Xml.SubElement(kind, "SourceFiles"), "File", sources)
+        else:
+            has_events = {"hasEventMode": "true"}
+            kind.attrib |= has_events if model.is_node else {"fixedInternalStepSize": tick}
+        units = Xml.SubElement(root, "UnitDefinitions")
+        for unit in sorted({"s", *(each.unit for each in model.variables)} - {""}):
+            parent = Xml.SubElement(units, "Unit", name=unit)
+            if unit in BASE_UNITS:
+                Xml.SubElement(parent, "BaseUnit", BASE_UNITS[unit])
+        stop = repr(model.scenario.duration_s)
+        Xml.SubElement(root, "DefaultExperiment", startTime="0", stopTime=stop, stepSize=tick)
+        variables = Xml.SubElement(root, "ModelVariables")
+        time = Variable("time", "independent", unit="s")
+        for reference, variable in enumerate((time, *model.variables)):
+            self._add(variables, reference, variable)
+        self._structure(Xml.SubElement(root, "ModelStructure"))
+        return as_text(root)
+
+    def _add(self, variables: Xml.Element, reference: int, variable: Variable) -> None:
+        name, causality, words, unit, start, kind, most, attributes = variable
+        variability = {"independent": "continuous", "parameter": "fixed"}
+        common = {
+            "name": name, "valueReference": str(reference), "causality": causality,
+            "variability": variability.get(causality, "discrete"),
+        }  # fmt: skip
+        bounds = {} if most is None else {"min": "0", "max": most}
+        typed = {"unit": unit} if unit else {}
+        typed |= bounds | ({} if start is None else {"start": start})
+        common |= {"description": words} if words else {}
+        if self._is_2:
+            scalar = Xml.SubElement(variables, "ScalarVariable", common)
+            Xml.SubElement(scalar, kind, typed)
+        else:
+            found = Xml.SubElement(
+                variables, KINDS_3.get(kind, kind), {**common, **typed, **attributes}
+            )
+            if kind == "Binary" and causality == "input":
+                Xml.SubElement(found, "Start", value="")
+
+    def _structure(self, structure: Xml.Element) -> None:
+        outputs = [
+            reference
+            for reference, each in enumerate(self.model.variables, 1)
+            if each.causality == "output"
+        ]
+        if self._is_2:  # counts from 1, with the time
+            for of in ("Outputs", "InitialUnknowns"):
+                parent = Xml.SubElement(structure, of)
+                for reference in outputs:
+                    Xml.SubElement(parent, "Unknown", index=str(reference + 1))
+            return
+        clocked = {n for n, each in enumerate(self.model.variables, 1) if each.kind == "Binary"}
+        for of, left_out in (("Output", set[int]()), ("InitialUnknown", clocked)):
+            for reference in outputs:
+                if reference not in left_out:
+                    Xml.SubElement(structure, of, valueReference=str(reference))
 
 
-def _unit(unit: str) -> dict[str, Any]:
-    return {"unit": unit} if unit else {}
-
-
-def _build_description(name: str, files: list[str]) -> str:
+def _build_description(name: str, sources: Collection[str]) -> str:
     root = Xml.Element("fmiBuildDescription", fmiVersion="3.0")
     build = Xml.SubElement(root, "BuildConfiguration", modelIdentifier=name)
     options = " ".join(each for each in FLAGS if each.startswith("-ff"))
-    sources = Xml.SubElement(
+    files = Xml.SubElement(
         build, "SourceFileSet", language="C99", compiler="gcc", compilerOptions=options
     )
-    for file in files:
-        if file.endswith(".c"):
-            Xml.SubElement(sources, "SourceFile", name=file)
+    _source_files(files, "SourceFile", sources)
     Xml.SubElement(build, "Library", name="m")
-    return _text(root)
+    return as_text(root)
 
 
-def _text(root: Xml.Element) -> str:
+def _source_files(parent: Xml.Element, tag: str, sources: Collection[str]) -> None:
+    for file in sorted(sources):
+        if file.endswith(".c"):
+            Xml.SubElement(parent, tag, name=file)
+
+
+def as_text(root: Xml.Element) -> str:
+    """The XML file of ``root``, indented."""
     Xml.indent(root)
     return Xml.tostring(root, "unicode", xml_declaration=True) + "\n"

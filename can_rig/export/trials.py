@@ -13,6 +13,7 @@ import random
 import subprocess
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,6 +35,7 @@ from can_rig.export.network_code import frame_bytes
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.network import Network, flagged
 from firmware_model.firmware import PYTHON_LAW, Law
+from firmware_model.law.core.biquad import output
 from firmware_model.law.layout import precision_of, state_type, table_type
 from firmware_model.law.monitor import COMPENSATION_OFF, SWINGING
 from firmware_model.law.schedule import MAX_SPEEDS, Constants
@@ -48,7 +50,8 @@ from firmware_model.law.structs import (
     record_type,
 )
 from firmware_model.law.supervision.covariance import LOSS_STATES
-from firmware_model.law.supervision.echoes import KEPT_TICKS
+from firmware_model.law.supervision.echoes import KEPT_TICKS, missing_command
+from firmware_model.law.supervision.verdict import FORCE_LOST, TORQUE_OFFSET
 from firmware_model.law.supervision.whitener import WHITENER_SECTIONS
 
 HOST_FLAGS: Final = ("-std=c99", "-ffp-contract=off")
@@ -62,6 +65,18 @@ INDICES = (
       (("delay", ""), ("dead", "_1"), ("dead", "_2"), ("shown", "_1"), ("shown", "_2"))),
     ("echoes", "index"), ("witness", "index"), ("mismatch.covariance", "first"),
 )  # fmt: skip
+SUMS = {
+    "witness": ("age", "power", "apart", "inner", "sensor_off", "sensor_healthy_off", "witness_off",
+                "healthy_off"),
+    "echoes.channel_1": ("missing", "off", "power", "stray", "swing"),
+    "echoes.channel_2": ("missing", "off", "power", "stray", "swing"),
+    "hypotheses.signatures": ("commanded", "missing", "before", "jump"),
+    **{f"hypotheses.signatures.{row}.candidate": ("evidence", "correlation", "information", "age")
+       for row in ("force_echo", "torque_echo", "force_lost", "torque_offset")},
+    "hypotheses.frozen": ("repetitions",),
+    "sequential_test": ("evidence", "correlation", "information", "age"),
+}  # fmt: skip
+"""Sums of a state that are compared with one another, and are seldom negative in a drive."""
 LAST_TICKS = 65530  # the 16 bits of the tick end soon
 
 
@@ -87,6 +102,8 @@ def random_frames(network: Network, seed: int) -> list[list[can.Message]]:
             if what > 0.97:
                 message.data = message.data[: choose.randrange(len(message.data))]
             frames += [message] * choose.choice([1, 1, 1, 1, 2])
+            if what > 0.9:
+                frames.append(can.Message(arbitration_id=0x7FF, is_extended_id=False, data=b"\x01"))
         ticks.append(frames)
     return ticks
 
@@ -139,7 +156,12 @@ def on_host(program: Path, orders: bytes) -> bytes:
     """
     try:
         done = subprocess.run(
-            [program], input=orders, capture_output=True, check=False, timeout=LONGEST_S
+            [program],
+            input=orders,
+            capture_output=True,
+            check=False,
+            timeout=LONGEST_S,
+            cwd=program.parent,
         )
     except subprocess.TimeoutExpired:
         raise ExportError(f"the trial did not end within {LONGEST_S:g} s") from None
@@ -150,11 +172,16 @@ def on_host(program: Path, orders: bytes) -> bytes:
     return done.stdout
 
 
+SHARES = [0.0, 0.0, 0.02, 0.3]  # of special values
 TICKS = (0, 0, 1, 2, 7, MAX_LATENCY_TICKS)
 
 
 def reals(
-    random: np.random.Generator, shape: tuple[int, ...], precision: Precision, even: bool = False
+    random: np.random.Generator,
+    shape: tuple[int, ...],
+    precision: Precision,
+    even: bool = False,
+    share: Any = None,
 ) -> Any:
     """Mostly ordinary magnitudes, mixed with all special values; ``even``: values repeat."""
     if even:
@@ -165,19 +192,30 @@ def reals(
     for each in (limits.max, -limits.max, limits.tiny, limits.smallest_subnormal):
         kinds.append(float(each))
     odd = random.choice(kinds, shape)
-    share = random.choice([0.0, 0.0, 0.02, 0.3])
+    share = random.choice(SHARES) if share is None else share
     with np.errstate(over="ignore"):
         return np.where(random.random(shape) < share, odd, ordinary).astype(precision)
 
 
-def fill(random: np.random.Generator, record: Any, precision: Precision, even: bool) -> None:
-    """Randomise every real number of ``record``, nested records included."""
-    for name in record.dtype.names:
-        kind = record.dtype[name]
-        if kind.names:
-            fill(random, record[name], precision, even)
-        elif kind.base.kind == "f":
-            record[name] = reals(random, kind.shape, precision, even)
+def fill(
+    random: np.random.Generator, records: RecordArray, precision: Precision, even: bool
+) -> None:
+    """Randomise every real number of ``records``, shape (1,); some fields get special values."""
+    fields = [*_real_fields(records.dtype)]
+    size = np.dtype(precision).itemsize
+    spots = np.concatenate([offset // size + np.arange(count) for offset, count in fields])
+    shares = np.repeat(random.choice(SHARES, len(fields)), [count for _, count in fields])
+    shares *= random.random() < 0.3
+    records.view(precision)[spots] = reals(random, spots.shape, precision, even, shares)
+
+
+@cache
+def _real_fields(dtype: np.dtype[Any], begin: int = 0) -> tuple[tuple[int, int], ...]:
+    """Offset and length of each field of real numbers."""
+    if dtype.names is None:
+        return ((begin, math.prod(dtype.shape)),) if dtype.base.kind == "f" else ()
+    parts = (dtype.fields[name][:2] for name in dtype.names) if dtype.fields else ()
+    return tuple(each for kind, offset in parts for each in _real_fields(kind, begin + offset))
 
 
 def random_table(
@@ -186,20 +224,10 @@ def random_table(
     """A table, shape (1,), with valid counts and indices, and some plausible numbers."""
     tables = np.zeros(1, table_type(precision))
     table: Any = tables[0]  # random numbers, of NumPy's types
-    fill(random, tables[0], precision, even)
-    if random.random() < 0.8:  # plausible limits
-        for actuator in (table.actuator_1, table.actuator_2):
-            actuator.limit, actuator.slew = abs(actuator.limit), abs(actuator.slew)
-            actuator.lsb = random.choice([0.0, 1e-3])
-    if random.random() < 0.8 and not even:  # thresholds within reach
-        table.decision.suspect, table.decision.confirm = np.sort(random.exponential(2.0, 2))
-        table.decision.recover = random.exponential(3.0)
-        table.mismatch.noise = random.exponential(1.0)
-        table.mismatch.white = random.exponential(1.0)
-        test = table.sequential_test
-        test.restart, test.promising, test.freshness = -1.0, random.exponential(), random.random()
-        test.needed = random.exponential()
-        test.share = random.choice([0.0, random.random(), test.share])
+    fill(random, tables, precision, even)
+    make_plausible(random, table, even)
+    table.prediction.enabled = random.integers(0, 2)
+    table.prediction.longest = random.choice([0.0, 2.0, 50.0])
     cars = table.other_cars
     for filter in (
         table.tracking.filter, table.estimator.channel_1, table.estimator.channel_2,
@@ -233,7 +261,7 @@ def random_table(
     takeover.enabled = random.integers(0, 2)
     takeover.listening, takeover.returning, takeover.lasting = np.sort(random.integers(1, 30, 3))
     echoes = table.echoes
-    echoes.longest, echoes.working = random.choice([0, 1, 5, 100]), random.integers(1, 5)
+    echoes.longest, echoes.working = random.choice([0, 1, 5, 100]), random.integers(0, 5)
     for actuator, dead_ticks in (
         (echoes.actuator_1, estimator.dead_ticks_1), (echoes.actuator_2, estimator.dead_ticks_2)
     ):  # fmt: skip
@@ -251,13 +279,40 @@ def random_table(
     return tables
 
 
+def make_plausible(random: np.random.Generator, table: Any, even: bool) -> None:
+    """Limits and thresholds that random numbers reach, in most tables."""
+    if random.random() < 0.8:  # plausible limits
+        for actuator in (table.actuator_1, table.actuator_2):
+            actuator.limit, actuator.slew = abs(actuator.limit), abs(actuator.slew)
+            actuator.lsb = random.choice([0.0, 1e-3])
+    if random.random() < 0.8 and not even:  # thresholds within reach
+        table.decision.suspect, table.decision.confirm = np.sort(random.exponential(2.0, 2))
+        table.decision.recover = random.exponential(3.0)
+        table.mismatch.noise = random.exponential(1.0)
+        table.mismatch.white = random.exponential(1.0)
+        test = table.sequential_test
+        test.restart, test.promising, test.freshness = -1.0, random.exponential(), random.random()
+        test.needed = random.exponential()
+        test.share = random.choice([0.0, random.random(), test.share])
+        hypotheses, witness, echoes = table.hypotheses, table.witness, table.echoes
+        hypotheses.ahead, hypotheses.sensor_ahead, hypotheses.jump = random.exponential(1.0, 3)
+        hypotheses.both_lost = random.exponential()
+        witness.noise, witness.doubt, witness.nearer, witness.keep = random.exponential(0.5, 4)
+        for size in (
+            echoes.share, echoes.wrong, hypotheses.torque_lost, hypotheses.signatures.force_lost
+        ):  # fmt: skip
+            size.least, size.most = np.sort(random.standard_normal(2))
+        for actuator in (echoes.actuator_1, echoes.actuator_2):
+            actuator.least, actuator.lead = random.exponential(0.1), random.standard_normal()
+
+
 def random_state(
     random: np.random.Generator, table: Any, precision: Precision, even: bool = False
 ) -> RecordArray:
     """A state for ``table``, shape (1,); of a few an index lies outside its array."""
     states = np.zeros(1, state_type(precision))
     state: Any = states[0]
-    fill(random, states[0], precision, even)
+    fill(random, states, precision, even)
     constants, estimator = table.estimator, state.estimator
     for index, size in (
         ("delay_index", constants.latency_ticks), ("dead_index_1", constants.dead_ticks_1),
@@ -274,29 +329,63 @@ def random_state(
             test.delay[:], test.explained[:] = 0.0, 0.0
     if random.random() < 0.3:
         state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
+    if random.random() < 0.7 and not even:
+        for where, names in SUMS.items():
+            for name in names:
+                size = random.exponential() * 10.0 ** random.uniform(-2.0, 2.0)
+                setattr(part_of(state, where), name, size)
     state.mode, state.fault_state = random.integers(0, 4, 2)
+    saved, signatures = state.saved, state.hypotheses.signatures
+    saved.fingerprint, signatures.obeyed = int(random.random() < 0.2), random.integers(0, 2)
+    saved.fault_state, saved.verdict = random.integers(0, 4), random.integers(0, len(Verdict))
+    state.standby.slow = int(random.random() < 0.05)
+    for of in (state.standby, state.prediction):
+        of.elapsed = random.choice([0.0, 1.0, 60.0, of.elapsed], p=[0.85, 0.05, 0.05, 0.05])
     state.echoes.index = random.integers(0, KEPT_TICKS)
     for echo in (state.echoes.channel_1, state.echoes.channel_2):
-        echo.left, echo.believed, echo.good = random.integers(0, 2, 3) * [9, 1, 4]
-    witness = state.witness
-    witness.index = random.integers(0, KEPT_TICKS)
-    witness.left, witness.denied, witness.good = random.integers(0, 2, 3) * [9, 1, 4]
-    witness.apart, witness.power = abs(witness.apart), abs(witness.power)
-    for sample in (witness.yaw_rate, witness.acceleration):
-        sample.fresh, sample.age = random.integers(0, 2), random.integers(0, 9)
-    state.hypotheses.verdict = random.integers(0, len(Verdict))
+        echo.left, echo.believed, echo.good = (random.random(3) < [0.8, 0.4, 0.3]) * [9, 1, 4]
+    fill_witness(random, table, state)
+    state.hypotheses.verdict = random.choice([TORQUE_OFFSET, FORCE_LOST, *range(len(Verdict))])
     state.monitor.reason = random.choice([0, 0, 0, 0, COMPENSATION_OFF, SWINGING])
-    state.takeover.pending, state.takeover.active = random.integers(0, 3), random.integers(0, 2)
+    state.takeover.pending = random.choice([0, 0, 0, 0, 1, 2])
+    state.takeover.active = random.integers(0, 2)
     state.takeover.elapsed = random.integers(0, 9)
     state.mismatch.covariance.first = random.choice([0, LOSS_STATES])
     state.mismatch.covariance.variances[:] = abs(state.mismatch.covariance.variances)
     if random.random() < 0.1:
         where, index = random.choice(INDICES)
-        of: Any = state
-        for name in where.split("."):
-            of = of[name]
-        of[index] = random.choice([-1, 2**7, 2**30, -(2**31)])
+        part_of(state, where)[index] = random.choice([-1, 2**7, 2**30, -(2**31)])
     return states
+
+
+def fill_witness(random: np.random.Generator, table: Any, state: Any) -> None:
+    """What the witness knows, which often agrees with the sensor or with an echo."""
+    witness = state.witness
+    witness.index = random.integers(0, KEPT_TICKS)
+    witness.left, witness.denied, witness.good = (random.random(3) < [0.8, 0.4, 0.3]) * [9, 1, 4]
+    if random.random() < 0.4:  # agrees with itself and with the sensor, not with the model
+        witness.apart, witness.inner = 1e-2 * witness.apart, 1e-4 * witness.inner
+        state.echoes.channel_1.missing *= 0.1
+        state.echoes.channel_2.off *= 0.01
+    if random.random() < 0.4:  # about as far off as the lost torque that its echo reports
+        actuator, echo = table.echoes.actuator_1, state.echoes.channel_1
+        answer, missing = (
+            state.hypotheses.signatures.torque_echo.answer,
+            missing_command(actuator, echo),
+        )
+        shown = output(table.estimator.channel_1, answer, missing)
+        with np.errstate(over="ignore"):
+            witness.difference = -shown * random.uniform(0.5, 1.5)
+    witness.measured[random.random(KEPT_TICKS) < 0.1] = np.nan
+    for sample in (witness.yaw_rate, witness.acceleration):
+        sample.fresh, sample.age = random.random() < 0.7, random.choice([*range(9), 200.0, np.nan])
+
+
+def part_of(record: Any, where: str) -> Any:
+    """The record at a path of names with dots."""
+    for name in where.split("."):
+        record = record[name]
+    return record
 
 
 SLOWEST, FASTEST = 1.0, 100.0  # m/s
@@ -323,7 +412,7 @@ def random_drive(
     """For a random table; ``even``: many numbers are equal."""
     schedules = np.zeros(1, record_type(Constants, precision))
     schedule: Constants = schedules[0]
-    fill(random, schedules[0], precision, even)
+    fill(random, schedules, precision, even)
     n = schedule.n = random.choice([1, 2, MAX_SPEEDS, *random.integers(1, MAX_SPEEDS + 1, 3)])
     schedule.speed[:] = np.sort(random.uniform(SLOWEST, FASTEST, MAX_SPEEDS))
     if random.random() < 0.8:  # turns that leave numbers of ordinary size
@@ -331,7 +420,7 @@ def random_drive(
             if "turn" in name:
                 schedules[name] = np.clip(np.nan_to_num(schedules[name]), -2.0, 2.0)
     blendings = np.zeros(1, record_type(BlendState, precision))
-    fill(random, blendings[0], precision, even)
+    fill(random, blendings, precision, even)
     blendings["place"] = random.choice([0.0, random.uniform(0.0, n - 1.0), n - 1.0])
     limits = np.finfo(precision)
     odd: list[float] = [np.nan, np.inf, -np.inf, 0.0, -1.0]
@@ -395,6 +484,11 @@ def random_trials(
         tables = random_table(random, precision, even)
         states = random_state(random, tables[0], precision, even)
         inputs = reals(random, (ticks, 2), precision, even)
+        again = 1 + np.flatnonzero(random.random(ticks - 1) < 0.2)
+        inputs[again] = inputs[again - 1]
+        for of in (states[0], states[0].hypotheses.frozen):  # a measurement that repeats
+            if random.random() < 0.2:
+                of.measurement = inputs[0, 1]
         drive = random_drive(random, precision, ticks, even) if blends else None
         samples = reals(random, (ticks, 3), precision, even)
         samples[:, 0] = random.choice([1.0, 2.0, 3.0, 3.0, 4.0, 4.0, 0.0], ticks)

@@ -1,181 +1,130 @@
-/* The controller of scenario {scenario} as an FMU of FMI 3.0 for co-simulation.
- *
- * A communication step is {tick}, or a multiple with the inputs held. The functions have the
- * names and arguments of the standard's headers, which these files do not need.
- */
+#include "fmu.h"
+
 #include <math.h>
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "self_test.h"
-
-#define EXPORT __attribute__((visibility("default")))
-#define FMI_OK 0
-#define FMI_ERROR 3
-
-static const double tick_s = {tick_s};
-static const char token[] = "{token}";
-
-/* Value references of the model description. */
-enum { TIME, REFERENCE, MEASUREMENT, SPEED, COMMAND_1, COMMAND_2, FAULT_ESTIMATE, REALS };
-enum { MODE = REALS, FAULT_STATE, VERDICT, VALUES };
-
-struct instance {
-//: if blends
-    struct firmware_memory memory;
+//: if node
 //: else
-    struct layout_state memory;
+static const double tick_s = {tick_s};
 //: end
-    double reals[REALS];
-    int32_t codes[VALUES - REALS];
-};
+static const char right_token[] = "{token}";
 
-static void start(struct instance *self)
+struct instance *fmu_new(const struct caller *caller, const char *token)
 {
-    (void)memset(self, 0, sizeof *self);
-    self->reals[SPEED] = NAN;
-    firmware_init(&self->memory);
-    firmware_reset(&self->memory, {zero});
-}
-
-static void tick(struct instance *self)
-{
-//: if blends
-    firmware_change_speed(&self->memory, (real)self->reals[SPEED]);
-//: end
-    const struct firmware_answer answer =
-        firmware_step(&self->memory, (real)self->reals[REFERENCE], (real)self->reals[MEASUREMENT]);
-
-    self->reals[COMMAND_1] = (double)answer.command_1;
-    self->reals[COMMAND_2] = (double)answer.command_2;
-    self->reals[FAULT_ESTIMATE] = (double)answer.fault_estimate;
-    self->codes[MODE - REALS] = answer.mode;
-    self->codes[FAULT_STATE - REALS] = answer.fault_state;
-    self->codes[VERDICT - REALS] = answer.verdict;
-}
-
-EXPORT const char *fmi3GetVersion(void)
-{
-    return "3.0";
-}
-
-EXPORT void *fmi3InstantiateCoSimulation(
-    const char *name, const char *given_token, const char *resources, bool visible, bool logging,
-    bool events, bool early_return, const uint32_t intermediate[], size_t n_intermediate,
-    void *environment, void (*log)(void), void (*update)(void))
-{
-    (void)name, (void)resources, (void)visible, (void)logging, (void)events, (void)early_return;
-    (void)intermediate, (void)n_intermediate, (void)environment, (void)log, (void)update;
-    if (given_token == NULL || strcmp(given_token, token) != 0) {
+    if (token == NULL || strcmp(token, right_token) != 0) {
+        caller->say(caller, "the token must be that of modelDescription.xml: "
+                            "the library belongs to another description");
         return NULL;
     }
-    struct instance *const self = malloc(sizeof *self);
-    if (self != NULL && !self_test(&self->memory)) {
+    struct instance *const self = calloc(1, sizeof *self);
+    if (self == NULL) {
+        caller->say(caller, "no memory is left");
+        return NULL;
+    }
+    self->caller = *caller;
+    if (!model_works(self)) {
+        caller->say(caller, "the self-test fails: this machine computes other bits");
         free(self);
         return NULL;
     }
-    if (self != NULL) {
-        start(self);
-    }
+    model_start(self);
     return self;
 }
 
-EXPORT void *fmi3InstantiateModelExchange(void)
+int fmu_refuse(const struct instance *self, const char *message)
 {
-    return NULL;
+    self->caller.say(&self->caller, message);
+    return FMI_ERROR;
 }
 
-EXPORT void *fmi3InstantiateScheduledExecution(void)
+int fmu_reset(struct instance *self)
 {
-    return NULL;
-}
+    const struct caller caller = self->caller;
 
-EXPORT void fmi3FreeInstance(void *instance)
-{
-    free(instance);
-}
-
-EXPORT int fmi3EnterInitializationMode(void *instance, bool tolerance_defined, double tolerance,
-                                       double start_time, bool stop_defined, double stop_time)
-{
-    (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop_time;
-    ((struct instance *)instance)->reals[TIME] = start_time;
+    (void)memset(self, 0, sizeof *self);
+    self->caller = caller;
+    model_start(self);
     return FMI_OK;
 }
 
-EXPORT int fmi3Reset(void *instance)
+int fmu_begin(struct instance *self)
 {
-    start(instance);
+    self->has_begun = true;
+    model_begin(self);
     return FMI_OK;
 }
 
-EXPORT int fmi3DoStep(void *instance, double point, double step, bool no_set_state,
-                      bool *event_needed, bool *terminate, bool *early_return, double *reached)
+int fmu_step(struct instance *self, double point_s, double step_s)
 {
-    struct instance *const self = instance;
-    const double ticks = rint(step / tick_s);
+//: if node
+    self->reals[TIME] = point_s + step_s;
+    model_tick(self, true);
+//: else
+    const double ticks = rint(step_s / tick_s);
 
-    (void)no_set_state;
-    if (!(ticks >= 1.0 && fabs(step / tick_s - ticks) <= 1e-6 * ticks)) {
-        return FMI_ERROR;
+    if (!(ticks >= 1.0 && fabs(step_s / tick_s - ticks) <= 1e-6 * ticks)) {
+        return fmu_refuse(self, "a communication step must be a multiple of the tick, {tick_s} s");
     }
     for (double done = 0.0; done < ticks; done += 1.0) {
-        tick(self);
+        model_tick(self, done == 0.0);
     }
-    self->reals[TIME] = point + step;
-    *event_needed = *terminate = *early_return = false;
-    *reached = self->reals[TIME];
+    self->reals[TIME] = point_s + step_s;
+//: end
     return FMI_OK;
 }
 
-EXPORT int fmi3GetFloat64(void *instance, const uint32_t references[], size_t n, double values[],
-                          size_t n_values)
+int fmu_get_reals(const struct instance *self, const uint32_t references[], size_t n,
+                  double values[])
 {
     for (size_t i = 0; i < n; i++) {
-        if (references[i] >= REALS || n_values != n) {
-            return FMI_ERROR;
+        if (references[i] >= REALS) {
+            return fmu_refuse(self, "a value reference must be that of a real number");
         }
-        values[i] = ((struct instance *)instance)->reals[references[i]];
+        values[i] = self->reals[references[i]];
     }
     return FMI_OK;
 }
 
-EXPORT int fmi3SetFloat64(void *instance, const uint32_t references[], size_t n,
-                          const double values[], size_t n_values)
+int fmu_set_reals(struct instance *self, const uint32_t references[], size_t n,
+                  const double values[])
 {
     for (size_t i = 0; i < n; i++) {
-        if (references[i] < REFERENCE || references[i] > SPEED || n_values != n) {
-            return FMI_ERROR;
+        if (references[i] == TIME || references[i] >= FIRST_OUTPUT) {
+            return fmu_refuse(self, "a value reference to set must be that of a real input");
         }
-        ((struct instance *)instance)->reals[references[i]] = values[i];
+        self->reals[references[i]] = values[i];
     }
     return FMI_OK;
 }
 
-EXPORT int fmi3GetInt32(void *instance, const uint32_t references[], size_t n, int32_t values[],
-                        size_t n_values)
+int fmu_get_wholes(const struct instance *self, const uint32_t references[], size_t n,
+                   int32_t values[])
 {
     for (size_t i = 0; i < n; i++) {
-        if (references[i] < REALS || references[i] >= VALUES || n_values != n) {
-            return FMI_ERROR;
+        if (references[i] < REALS || references[i] >= VALUES) {
+            return fmu_refuse(self, "a value reference must be that of a whole number");
         }
-        values[i] = ((struct instance *)instance)->codes[references[i] - REALS];
+        values[i] = self->wholes[references[i] - REALS];
     }
     return FMI_OK;
 }
 
-/* Functions without effect here, and functions of what this FMU lacks: further arguments of a
- * caller are left alone. */
-#define ANSWERS(name, status)     \
-    EXPORT int name(void *instance) \
-    {                             \
-        (void)instance;           \
-        return status;            \
+int fmu_set_wholes(struct instance *self, const uint32_t references[], size_t n,
+                   const int32_t values[])
+{
+    for (size_t i = 0; i < n; i++) {
+        if (self->has_begun || references[i] < REALS || references[i] >= FIRST_WHOLE_OUTPUT) {
+            return fmu_refuse(self, "a whole number to set must be a parameter, before the start");
+        }
+//: if car
+        if (values[i] < 0 || values[i] > LATENCY) {
+            return fmu_refuse(self, "latency_ticks must be 0 to {latency}");
+        }
+        self->wholes[references[i] - REALS] = values[i];
+//: else
+        (void)values;
+//: end
     }
-ANSWERS(fmi3SetDebugLogging, FMI_OK)
-ANSWERS(fmi3ExitInitializationMode, FMI_OK)
-ANSWERS(fmi3Terminate, FMI_OK)
-{refused}
+    return FMI_OK;
+}

@@ -21,7 +21,18 @@ from can_rig.export.application import HEADER, application, exported, write
 from can_rig.export.boards import COMPILER, EMULATOR
 from can_rig.export.costs import Cost, instructions, instructions_by_file, law_of, sizes
 from can_rig.export.evidence import NEEDS
-from can_rig.export.findings import COMPILERS, Coverage, alarms, coverage, findings, misra
+from can_rig.export.findings import (
+    COMPILERS,
+    MEMORIES,
+    SEEDS,
+    TICKS,
+    Coverage,
+    alarms,
+    coverage,
+    findings,
+    misra,
+)
+from can_rig.export.law import law_files
 from can_rig.export.provenance import MANIFEST
 from can_rig.plant.frameless import controller_inputs
 from can_rig.scenario.build import network_of
@@ -83,19 +94,28 @@ def test_eva_finds_what_may_go_wrong() -> None:
 
 @needs("gcov")
 def test_the_trials_run_nearly_all_of_it() -> None:
-    """Also what blends."""
-    found = coverage(DRIVE)
+    """Also what blends; conditions and lines are those of the exported files."""
+    found, files = coverage(DRIVE), exported(DRIVE)
     assert found.different == 0
-    assert found.compared == 100 * (2 * 12 + 1)  # after each change, each step and the start
-    assert found.lines_run >= 0.98 * found.lines > 1000
-    assert found.branches_taken >= 0.9 * found.branches > 300
+    after_each_change_and_step_and_the_start = 2 * TICKS + 1
+    assert found.compared == len(SEEDS) * MEMORIES * after_each_change_and_step_and_the_start
+    assert found.lines_run >= 0.99 * found.lines > 1000
     assert len(found.missed) == found.lines - found.lines_run
     assert not {"schedule.c", "ecu.c"} & {line.split(":")[0] for line in found.missed}
+    assert found.conditions_proven >= 0.95 * found.conditions > 500
+    assert len(found.unproven) == found.conditions - found.conditions_proven
+    for place, condition, _ in found.unproven:
+        file, line = place.split(":")
+        below = " ".join(" ".join(files[file].splitlines()[int(line) - 1 :]).split())
+        assert condition in below[: len(condition) + 80]
+    law = [each for each in found.unproven if each[0].split(":")[0] in law_files("float32", True)]
+    assert len(law) <= 10
 
 
 SPREAD = {"median": 5555, "worst": 6666, "tick of the worst": 7}
 RECORD = {
-    "trials": Coverage(1300, 0, 200, 150, 40, 30, ("biquad.c:7",)),
+    "trials": Coverage(1300, 0, 200, 150, 40, 30, 29, ("biquad.c:7",),
+                       (("crc.c:8", "a < b", "never true"),)),
     "sizes": Cost(1111, 2222, 3333, 4444),
     "instructions": {"law": SPREAD, "node": {"as in the scenario": SPREAD},
                      "mean of each part": {"filters": 8888.0},
@@ -133,7 +153,8 @@ def test_what_a_missing_tool_would_measure_is_named(
     shown = (tmp_path / "out" / "evidence.html").read_text(encoding="utf-8")
     assert {part for part in NEEDS if record[part] is None} == lost
     assert {tool for tool, said in record["tools"].items() if said is None} == {*missing}
-    for part, number in (("trials", "biquad.c:7"), ("memory", "3333"), ("instructions", "8888"),
+    for part, number in (("trials", "biquad.c:7"), ("trials", "a &lt; b"),
+                         ("memory", "3333"), ("instructions", "8888"),
                          ("misra", "it is known")):  # fmt: skip
         assert (number in shown) is (part not in lost)
     for part in lost:
@@ -145,7 +166,7 @@ def test_what_a_missing_tool_would_measure_is_named(
 def test_what_does_not_hold_is_seen_at_once() -> None:
     record = {
         "controller": {"scenario": "a<b"}, "tools": dict.fromkeys(("cppcheck", "gcc"), "1.0"),
-        "trials": asdict(Coverage(1300, 2, 200, 150, 40, 30, ())), "memory": None,
+        "trials": asdict(Coverage(1300, 2, 200, 150, 40, 30, 29, (), ())), "memory": None,
         "instructions": None, "eva": ["frames.c:7: overflow"],
         "misra": [{"rule": "8.4", "times": 1, "reason": None, "files": {"wrong.c": 1}}],
         "findings": {"gcc": 1, "clang": None},
