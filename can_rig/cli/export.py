@@ -16,7 +16,8 @@ from can_rig.cli.options import force_option, scenario_options
 from can_rig.cli.output import progress, say, tell
 from can_rig.errors import ExportError
 from can_rig.export.application import exported, in_precision, write
-from can_rig.export.fmu import controller_model, name_of, write_fmus
+from can_rig.export.controller_fmu import controller_model, node_model
+from can_rig.export.fmu import name_of, write_fmus
 from can_rig.plant.car_fmu import car_model, write_inputs
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
@@ -60,8 +61,8 @@ FAULTS: Final[
     "--fmu",
     "as_fmu",
     is_flag=True,
-    help="Write FMUs of the controller and the car in place of the folder: FOLDER/fmi2 and "
-    "FOLDER/fmi3, co-simulation, with the C sources and this machine's binary.",
+    help="Write FMUs of the controller, of the controller with its CAN frames and of the car in "
+    "place of the folder: FOLDER/fmi2 and FOLDER/fmi3, with C sources and this machine's binary.",
 )
 @click.option(
     "--evidence",
@@ -128,7 +129,7 @@ def command(
 
 def _write_fmus(scenario: Scenario, out: Path, force: bool) -> None:
     car = car_model(scenario)
-    for model in (controller_model(scenario), *([] if car is None else [car])):
+    for model in (controller_model(scenario), node_model(scenario), *([car] if car else [])):
         for path in write_fmus(model, out, force):
             say(str(path))
     if car is None:

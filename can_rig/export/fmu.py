@@ -1,4 +1,4 @@
-"""FMUs of FMI 2.0 and 3.0 for co-simulation, from one set of C sources, and the controller's."""
+"""FMUs of FMI 2.0 and 3.0 for co-simulation, from one set of C sources."""
 
 from __future__ import annotations
 
@@ -11,25 +11,11 @@ from pathlib import Path
 from typing import Final, NamedTuple
 from xml.etree import ElementTree as Xml
 
-from can_rig.drawing.names import names_of
 from can_rig.errors import ExportError
-from can_rig.export.application import BY_HAND, application
 from can_rig.export.compiler import FLAGS, built, host_compiler
-from can_rig.export.law import HEARS, SENSORS, numbers_of, parts_of, support
-from can_rig.export.network_code import sensors_of
+from can_rig.export.law import NODE, support
 from can_rig.files import atomic
-from can_rig.frames.codec import AGE
-from can_rig.scenario.build import network_of
-from can_rig.scenario.sensor_settings import HEARD, USUAL
 from can_rig.scenario.settings import Scenario
-
-OF_THE_NODE: Final = {
-    name for name in (*BY_HAND, "network.c") if name.startswith(("e2e", "frames", "ecu", "network"))
-}
-"""Files of an application that a controller without frames does not need."""
-
-WRAPPER: Final = ("fmu.h", "fmu.c", "fmi2.c", "fmi3.c")
-"""Files of every FMU."""
 
 TYPES_3: Final = (
     "Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64", "Boolean",
@@ -59,8 +45,14 @@ REFUSED: Final = {
     ),
 }  # fmt: skip
 """Functions of a version that need what the FMUs lack; they answer an error."""
+EVENTS: Final = (
+    "GetBinary", "SetBinary", "GetClock", "SetClock", "EnterEventMode", "EnterStepMode",
+    "UpdateDiscreteStates",
+)  # fmt: skip
+"""Functions that a node on a bus has nevertheless."""
 
-CODES: Final = ("mode", "fault_state", "verdict")
+KINDS_3: Final = {"Real": "Float64", "Integer": "Int32"}
+"""Types of FMI 3.0 by those of FMI 2.0."""
 TICKS: Final = "ticks since the sample; negative: no valid sample in this step"
 FIRST_DAY: Final = (1980, 1, 1, 0, 0, 0)
 """The time stamp of every file: the same model gives the same FMU."""
@@ -85,8 +77,9 @@ class Variable(NamedTuple):
     words: str = ""
     unit: str = ""
     start: str | None = None
-    is_whole: bool = False
+    kind: str = "Real"
     most: str | None = None
+    attributes: Mapping[str, str] = {}
 
 
 class Model(NamedTuple):
@@ -96,9 +89,10 @@ class Model(NamedTuple):
         name: of the model, a name in C.
         words: a description.
         scenario: gives tick and duration.
-        sources: text by file name, apart from ``WRAPPER``.
+        sources: text by file name, apart from those of every FMU.
         parts: of handwritten files.
-        variables: real inputs, real outputs, whole parameters, whole outputs.
+        variables: real inputs, real outputs, whole parameters, whole outputs, others.
+        files: further files, text by name.
     """
 
     name: str
@@ -107,6 +101,17 @@ class Model(NamedTuple):
     sources: Mapping[str, str]
     parts: Collection[str]
     variables: Sequence[Variable]
+    files: Mapping[str, str] = {}
+
+    @property
+    def is_node(self) -> bool:
+        """Whether the model sends and receives frames in events, which FMI 2.0 lacks."""
+        return NODE in self.parts
+
+    @property
+    def versions(self) -> tuple[str, ...]:
+        """Of FMI."""
+        return ("3",) if self.is_node else ("2", "3")
 
 
 def name_of(part: str, scenario: Scenario) -> str:
@@ -114,57 +119,11 @@ def name_of(part: str, scenario: Scenario) -> str:
     return re.sub(r"\W", "_", f"{part}_{scenario.name}", flags=re.ASCII)
 
 
-def controller_model(scenario: Scenario) -> Model:
-    """The controller of ``scenario``; inputs of further sensors have the names of their columns.
-
-    Raises:
-        ScenarioError, ExportError: as ``application``.
-    """
-    node = application(scenario)
-    output, command_1, command_2 = names = names_of(scenario.plant)
-    heard = sorted(number for number, _, _ in sensors_of(scenario, network_of(scenario)))
-    inputs = [
-        Variable("reference", "input", f"wanted {output.name}", output.unit, "0"),
-        Variable("measurement", "input", output.name, output.unit, "0"),
-    ]
-    if scenario.drive.is_given:
-        start = repr(scenario.model.speed_mps)
-        inputs.append(Variable("speed_mps", "input", "speed of the car", "m/s", start))
-    first_sample = 1 + len(inputs)
-    for number in heard:
-        measured = HEARD[number - 1]
-        column, signal = USUAL[measured].column, names.at(measured)
-        inputs.append(Variable(column, "input", signal.name, signal.unit, "0"))
-        inputs.append(Variable(column + AGE, "input", TICKS, start="-1"))
-    outputs = [
-        Variable("command_1", "output", command_1.name, command_1.unit),
-        Variable("command_2", "output", command_2.name, command_2.unit),
-        Variable("fault_estimate", "output", "fault estimate", output.unit),
-        *(Variable(code, "output", code.replace("_", " "), is_whole=True) for code in CODES),
-    ]
-    sources = {file: text for file, text in node.items() if file not in OF_THE_NODE}
-    parts = {*parts_of(sources)}
-    parts |= {HEARS} if scenario.drive.is_given else set()
-    parts |= {SENSORS} if heard else set()
-    sources["fmu_controller.c"] = support(
-        "fmu_controller.c",
-        parts,
-        scenario=scenario.name,
-        tick=f"{scenario.tick_s * 1e3:g} ms",
-        sensors=str(len(heard)),
-        first_sample=str(first_sample),
-        numbers=", ".join(f"{number}.0f" for number in heard),
-        **numbers_of(scenario.design.precision),
-    )
-    name = name_of("controller", scenario)
-    words = f"The controller of scenario {scenario.name}"
-    return Model(name, words, scenario, sources, parts, (*inputs, *outputs))
-
-
 def write_fmus(model: Model, folder: Path, force: bool) -> list[Path]:
-    """Write ``FOLDER/fmi2/NAME.fmu`` and ``FOLDER/fmi3/NAME.fmu``; returns both paths.
+    """Write ``FOLDER/fmi2/NAME.fmu`` and ``FOLDER/fmi3/NAME.fmu``; returns the paths.
 
-    Both have the same sources and the same library, with the functions of both versions.
+    Both have the same sources and the same library, with the functions of both versions. A node on
+    a bus is of FMI 3.0 alone.
 
     Raises:
         ExportError: no compiler, or a folder that cannot be made.
@@ -174,13 +133,14 @@ def write_fmus(model: Model, folder: Path, force: bool) -> list[Path]:
     library = built(host_compiler(), (*FLAGS, "-fvisibility=hidden"), sources, ".so").read_bytes()
     return [
         _write(_Description(version, model, token), sources, library, folder, force)
-        for version in REFUSED
+        for version in model.versions
     ]
 
 
 def _sources(model: Model) -> tuple[dict[str, str], str]:
     """All sources of an FMU, and the token that binds the description to them."""
-    reals = [each for each in model.variables if not each.is_whole]
+    reals = [each for each in model.variables if each.kind == "Real"]
+    wholes = [each for each in model.variables if each.kind == "Integer"]
     inputs = [each for each in reals if each.causality == "input"]
     parameters = [each for each in model.variables if each.causality == "parameter"]
     token = hashlib.sha256(repr((model.variables, sorted(model.sources.items()))).encode())
@@ -193,12 +153,14 @@ def _sources(model: Model) -> tuple[dict[str, str], str]:
         "first_output": str(1 + len(inputs)),
         "reals": str(1 + len(reals)),
         "parameters": str(1 + len(reals) + len(parameters)),
-        "values": str(1 + len(model.variables)),
+        "values": str(1 + len(reals) + len(wholes)),
     }
-    for version, functions in REFUSED.items():
-        refused = (f"ANSWERS(fmi{version}{function}, FMI_ERROR)" for function in functions)
-        texts[f"refused_{version}"] = "\n".join(refused)
-    wrapper = {name: support(name, model.parts, **texts) for name in WRAPPER}
+    for version in model.versions:
+        left = [each for each in REFUSED[version] if not (model.is_node and each in EVENTS)]
+        lines = [f"ANSWERS(fmi{version}{function}, FMI_ERROR)" for function in left]
+        texts[f"refused_{version}"] = "\n".join(lines)
+    names = ("fmu.h", "fmu.c", *(f"fmi{version}.c" for version in model.versions))
+    wrapper = {name: support(name, model.parts, **texts) for name in names}
     return {**model.sources, **wrapper}, texts["token"]
 
 
@@ -211,12 +173,12 @@ def _write(
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ExportError(f"{path.parent}: cannot be made: {error.strerror}") from None
-    machine = platform.machine()
-    place = {"2": "linux64" if machine == "x86_64" else f"linux-{machine}", "3": f"{machine}-linux"}
+    place = {"2": "linux64", "3": f"{platform.machine()}-linux"}
     contents: dict[str, str | bytes] = {
         "modelDescription.xml": description.text(sources),
         **{f"sources/{file}": text for file, text in sorted(sources.items())},
         f"binaries/{place[version]}/{name}.so": library,
+        **description.model.files,
     }
     if version == "3":
         contents["sources/buildDescription.xml"] = _build_description(name, sources)
@@ -248,7 +210,8 @@ class _Description:
         if self._is_2:
             _source_files(Xml.SubElement(kind, "SourceFiles"), "File", sources)
         else:
-            kind.set("fixedInternalStepSize", tick)
+            has_events = {"hasEventMode": "true"}
+            kind.attrib |= has_events if model.is_node else {"fixedInternalStepSize": tick}
         units = Xml.SubElement(root, "UnitDefinitions")
         for unit in sorted({"s", *(each.unit for each in model.variables)} - {""}):
             parent = Xml.SubElement(units, "Unit", name=unit)
@@ -261,10 +224,10 @@ class _Description:
         for reference, variable in enumerate((time, *model.variables)):
             self._add(variables, reference, variable)
         self._structure(Xml.SubElement(root, "ModelStructure"))
-        return _text(root)
+        return as_text(root)
 
     def _add(self, variables: Xml.Element, reference: int, variable: Variable) -> None:
-        name, causality, words, unit, start, is_whole, most = variable
+        name, causality, words, unit, start, kind, most, attributes = variable
         variability = {"independent": "continuous", "parameter": "fixed"}
         common = {
             "name": name, "valueReference": str(reference), "causality": causality,
@@ -276,9 +239,13 @@ class _Description:
         common |= {"description": words} if words else {}
         if self._is_2:
             scalar = Xml.SubElement(variables, "ScalarVariable", common)
-            Xml.SubElement(scalar, "Integer" if is_whole else "Real", typed)
+            Xml.SubElement(scalar, kind, typed)
         else:
-            Xml.SubElement(variables, "Int32" if is_whole else "Float64", {**common, **typed})
+            found = Xml.SubElement(
+                variables, KINDS_3.get(kind, kind), {**common, **typed, **attributes}
+            )
+            if kind == "Binary" and causality == "input":
+                Xml.SubElement(found, "Start", value="")
 
     def _structure(self, structure: Xml.Element) -> None:
         outputs = [
@@ -292,9 +259,11 @@ class _Description:
                 for reference in outputs:
                     Xml.SubElement(parent, "Unknown", index=str(reference + 1))
             return
-        for of in ("Output", "InitialUnknown"):
+        clocked = {n for n, each in enumerate(self.model.variables, 1) if each.kind == "Binary"}
+        for of, left_out in (("Output", set[int]()), ("InitialUnknown", clocked)):
             for reference in outputs:
-                Xml.SubElement(structure, of, valueReference=str(reference))
+                if reference not in left_out:
+                    Xml.SubElement(structure, of, valueReference=str(reference))
 
 
 def _build_description(name: str, sources: Collection[str]) -> str:
@@ -306,7 +275,7 @@ def _build_description(name: str, sources: Collection[str]) -> str:
     )
     _source_files(files, "SourceFile", sources)
     Xml.SubElement(build, "Library", name="m")
-    return _text(root)
+    return as_text(root)
 
 
 def _source_files(parent: Xml.Element, tag: str, sources: Collection[str]) -> None:
@@ -315,6 +284,7 @@ def _source_files(parent: Xml.Element, tag: str, sources: Collection[str]) -> No
             Xml.SubElement(parent, tag, name=file)
 
 
-def _text(root: Xml.Element) -> str:
+def as_text(root: Xml.Element) -> str:
+    """The XML file of ``root``, indented."""
     Xml.indent(root)
     return Xml.tostring(root, "unicode", xml_declaration=True) + "\n"

@@ -129,7 +129,7 @@ def _variables(scenario: Scenario, states: Sequence[str]) -> list[Variable]:
         found.append(Variable(name, "output", "of the car", STATE_UNITS[name]))
     words = "ticks from a command until the command acts"
     latency = str(scenario.latency_ticks)
-    found.append(Variable("latency_ticks", "parameter", words, "", latency, True, latency))
+    found.append(Variable("latency_ticks", "parameter", words, "", latency, "Integer", latency))
     return found
 
 

@@ -26,6 +26,12 @@ EXPORT void *fmi3InstantiateCoSimulation(
 
     (void)name, (void)resources, (void)visible, (void)logging, (void)events, (void)early_return;
     (void)intermediate, (void)n_intermediate, (void)update;
+//: if node
+    if (!events) {
+        say(&caller, "eventModeUsed must be true: frames come and go in events");
+        return NULL;
+    }
+//: end
     return fmu_new(&caller, token);
 }
 
@@ -69,6 +75,9 @@ EXPORT int fmi3DoStep(void *instance, double point, double step, bool no_set_sta
 
     (void)no_set_state;
     *event_needed = *terminate = *early_return = false;
+//: if node
+    *event_needed = ((struct instance *)instance)->node.waiting > 0;
+//: end
     *reached = ((struct instance *)instance)->reals[TIME];
     return status;
 }

@@ -4,7 +4,10 @@
 #include <stdlib.h>
 #include <string.h>
 
+//: if node
+//: else
 static const double tick_s = {tick_s};
+//: end
 static const char right_token[] = "{token}";
 
 struct instance *fmu_new(const struct caller *caller, const char *token)
@@ -54,6 +57,10 @@ int fmu_begin(struct instance *self)
 
 int fmu_step(struct instance *self, double point_s, double step_s)
 {
+//: if node
+    self->reals[TIME] = point_s + step_s;
+    model_tick(self, true);
+//: else
     const double ticks = rint(step_s / tick_s);
 
     if (!(ticks >= 1.0 && fabs(step_s / tick_s - ticks) <= 1e-6 * ticks)) {
@@ -63,6 +70,7 @@ int fmu_step(struct instance *self, double point_s, double step_s)
         model_tick(self, done == 0.0);
     }
     self->reals[TIME] = point_s + step_s;
+//: end
     return FMI_OK;
 }
 

@@ -13,7 +13,11 @@
 //: if car
 #include "car.h"
 //: else
+//: if node
+#include "bus_node.h"
+//: else
 #include "firmware.h"
+//: end
 //: end
 
 #define EXPORT __attribute__((visibility("default")))
@@ -37,10 +41,14 @@ struct instance {
 //: if car
     struct car car;
 //: else
+//: if node
+    struct bus_node node;
+//: else
 //: if blends
     struct firmware_memory memory;
 //: else
     struct layout_state memory;
+//: end
 //: end
 //: end
 };

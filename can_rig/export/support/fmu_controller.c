@@ -32,7 +32,7 @@ bool model_works(struct instance *self)
 void model_start(struct instance *self)
 {
 //: if hears
-    self->reals[SPEED_MPS] = NAN;
+    self->reals[SPEED_MPS] = {speed_mps};
 //: end
 //: if sensors
     for (uint32_t i = 0; i < SENSORS; i++) {

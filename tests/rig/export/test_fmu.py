@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import runpy
+import struct
 import zipfile
 from itertools import islice
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
 
+import can
 import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
+from fmpy.fmi3 import FMU3Slave
 from fmpy.simulation import instantiate_fmu
 from fmpy.validation import validate_fmu
 
 import can_rig
+from can_rig.assessment.resolve import load
 from can_rig.errors import ExportError, LogError, RigError
-from can_rig.export.fmu import controller_model, write_fmus
+from can_rig.export.controller_fmu import controller_model, node_model
+from can_rig.export.fmu import write_fmus
 from can_rig.frames.frame_columns import quantised
 from can_rig.plant.car_fmu import car_model, write_inputs
 from can_rig.plant.frameless import frameless
@@ -29,6 +34,7 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 from tests.helpers import asked
 from tests.rig.export.shared import STRICT, run
+from tests.rig.own_frames.scenarios import FD_SIGNALS, database, options
 
 SHORT: dict[str, object] = {"duration_s": 0.6, "fault.at_s": 0.3}
 CASES: dict[str, tuple[str, dict[str, object]]] = {
@@ -109,9 +115,18 @@ def written(scenario: Scenario, folder: Path) -> None:
     assert write_inputs(scenario, folder / f"inputs_{name}.csv", force=False) == []
 
 
-@pytest.mark.parametrize("case", LOOPS)
+def with_floats(folder: Path) -> Scenario:
+    """`default` with frames of CAN FD, identifiers of 29 bits and floats of 32."""
+    path = folder / "own.dbc"
+    text = database("48|32@1- (1,0) [0|0]", 16, first_id=0x80001300, types="1", fd=True)
+    path.write_text(text, encoding="utf-8")
+    short = [f"{key}={value}" for key, value in SHORT.items()]
+    return load("default", [*options(path, FD_SIGNALS), *short])
+
+
+@pytest.mark.parametrize("case", [*LOOPS, "floats"])
 def test_both_in_a_loop_are_the_rig_bit_for_bit(case: str, tmp_path: Path) -> None:
-    ours = can_rig.load_scenario(*LOOPS[case])
+    ours = with_floats(tmp_path) if case == "floats" else can_rig.load_scenario(*LOOPS[case])
     written(ours, tmp_path)
     network = network_of(ours)
     trace = frameless(ours, network)
@@ -169,7 +184,9 @@ def test_the_rig_drives_both_bit_for_bit(version: int, tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fmus")
-    written(can_rig.load_scenario("cluster", LONGER), folder)
+    ours = can_rig.load_scenario("cluster", LONGER)
+    written(ours, folder)
+    write_fmus(node_model(ours), folder, force=False)
     return folder
 
 
@@ -218,6 +235,117 @@ def test_a_car_without_commands_holds_them_and_then_lets_go(tmp_path: Path) -> N
     assert held.outputs["output"] != 0.0
 
 
+class OnTheBus:
+    """The node's FMU, and an importer without any bus simulation."""
+
+    def __init__(self, path: Path, folder: Path) -> None:
+        model = fmpy.read_model_description(str(path))
+        fmpy.extract(str(path), str(folder))
+        self.said: list[bytes] = []
+        self.fmu = FMU3Slave(
+            guid=model.instantiationToken,
+            unzipDirectory=str(folder),
+            modelIdentifier=model.coSimulation.modelIdentifier,
+        )
+        self.fmu.instantiate(
+            eventModeUsed=True, logMessage=lambda *message: self.said.append(message[-1])
+        )
+        self.fmu.enterInitializationMode()
+        self.fmu.exitInitializationMode()
+        self.rx_data, self.rx_clock, self.tx_data, self.tx_clock = (
+            next(each.valueReference for each in model.modelVariables if each.name == name)
+            for name in ("rx_data", "rx_clock", "tx_data", "tx_clock")
+        )
+        self.time_s = 0.0
+
+    def event(self, received: bytes = b"") -> bytes:
+        """What the node sends in an event that brings these operations."""
+        if received:
+            self.fmu.setClock([self.rx_clock], [True])
+            self.fmu.setBinary([self.rx_data], [received])
+        sent, again = b"", True
+        while again:
+            if self.fmu.getClock([self.tx_clock])[0]:
+                sent += self.fmu.getBinary([self.tx_data])[0]
+            again = self.fmu.updateDiscreteStates()[0]
+        self.fmu.enterStepMode()
+        return sent
+
+    def step(self, step_s: float) -> bool:
+        """Whether the node needs an event at the end of the step; enters the event."""
+        needs_event: bool = self.fmu.doStep(self.time_s, step_s)[0]
+        self.time_s += step_s
+        self.fmu.enterEventMode()
+        return needs_event
+
+
+def transmit(frame: can.Message) -> bytes:
+    """The operation of FMI-LS-BUS 1.0 that sends a frame."""
+    if frame.is_fd:
+        head = struct.pack("<IIIBBBH", 0x11, 17 + len(frame.data), frame.arbitration_id,
+                           frame.is_extended_id, 1, 0, len(frame.data))  # fmt: skip
+    else:
+        head = struct.pack("<IIIBBH", 0x10, 16 + len(frame.data), frame.arbitration_id,
+                           frame.is_extended_id, 0, len(frame.data))  # fmt: skip
+    return head + bytes(frame.data)
+
+
+@pytest.mark.parametrize("name", ["cluster", "drive-cycle", "floats"])
+def test_the_node_on_a_bus_sends_the_frames_of_the_rig(name: str, tmp_path: Path) -> None:
+    ours = with_floats(tmp_path) if name == "floats" else can_rig.load_scenario(name, LONGER)
+    (path,) = write_fmus(node_model(ours), tmp_path, force=False)
+    assert validate_fmu(str(path)) == []
+    node = OnTheBus(path, tmp_path / "unpacked")
+    network = network_of(ours)
+    own = {
+        each.frame_id & 0x1FFFFFFF
+        for each in (network.command_1, network.command_2, network.status)
+    }
+    ticks: list[tuple[list[bytes], list[bytes]]] = []
+    ran = can_rig.run(ours)  # keeps its folder
+    for frame in can.CanutilsLogReader(ran.folder / LOG):
+        answers = frame.arbitration_id in own
+        if not answers and (not ticks or ticks[-1][1]):
+            ticks.append(([], []))
+        ticks[-1][answers].append(transmit(frame))
+    assert len(ticks) == ours.ticks
+    assert node.event() == struct.pack("<IIBI", 0x40, 13, 1, ours.bus.bitrate)
+    for received, sent in ticks:
+        assert not node.step(ours.tick_s)
+        assert node.event(b"".join(received)) == b"".join(sent)
+    assert node.step(1.6 * ours.tick_s)  # no feedback: the node answers by itself
+    assert len(node.event()) == len(b"".join(ticks[0][1]))
+
+
+def test_the_node_answers_an_operation_that_it_does_not_understand(
+    cluster: Path, tmp_path: Path
+) -> None:
+    node = OnTheBus(cluster / "fmi3" / "node_cluster.fmu", tmp_path)
+    node.event()
+    confirm = struct.pack("<III", 0x20, 12, 0x100)
+    remote = struct.pack("<IIIBBH", 0x10, 16, 0x100, 0, 1, 0)
+    for wrong in (
+        struct.pack("<II", 0x77, 8),
+        struct.pack("<IIIBBH", 0x10, 16, 0x100, 0, 0, 8),
+        struct.pack("<II", 0x10, 7),
+        struct.pack("<II", 0x10, 400),
+        b"\x10",
+    ):
+        node.step(0.001)
+        answer = struct.pack("<IIH", 0x01, 10 + len(wrong), len(wrong)) + wrong
+        assert node.event(confirm + remote + wrong) == answer
+    node.step(0.001)
+    node.fmu.setClock([node.rx_clock], [True])
+    with pytest.raises(FMICallException):
+        node.fmu.setBinary([node.rx_data], [bytes(4097)])
+    with pytest.raises(FMICallException):
+        node.fmu.setClock([node.tx_clock], [True])
+    assert node.said == [
+        b"a binary to set must be rx_data, of at most 4096 bytes",
+        b"a clock to set must be rx_clock",
+    ]
+
+
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fmu")
@@ -259,7 +387,9 @@ def test_a_step_of_several_ticks_holds_the_inputs(exported: Path, tmp_path: Path
         fmu.freeInstance()
 
 
-@pytest.mark.parametrize("file", ["fmi3/car_cluster.fmu", "fmi2/controller_cluster.fmu"])
+@pytest.mark.parametrize(
+    "file", ["fmi3/car_cluster.fmu", "fmi2/controller_cluster.fmu", "fmi3/node_cluster.fmu"]
+)
 def test_the_sources_within_build_without_a_warning(
     file: str, cluster: Path, tmp_path: Path
 ) -> None:
@@ -269,7 +399,8 @@ def test_the_sources_within_build_without_a_warning(
     units = [each.get("name") for tag in ("SourceFile", "File") for each in build.iter(tag)]
     flags = [*STRICT, "-fPIC", "-shared", "-ffp-contract=off", "-lm", "-o", tmp_path / "again.so"]
     run("cc", *(tmp_path / "sources" / str(unit) for unit in units), *flags)
-    assert {"fmu.c", "fmi2.c", "fmi3.c"} <= set(units)
+    assert {"fmu.c", "fmi3.c"} <= set(units)
+    assert ("fmi2.c" in units) == ("node" not in file)
 
 
 def test_the_same_controller_is_the_same_file(exported: Path, tmp_path: Path) -> None:
@@ -299,4 +430,4 @@ def test_it_is_refused_in_one_line(exported: Path, tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert "inputs_default.csv: has no input for actuator-stuck" in done.stderr
-    assert len(list(tmp_path.glob("*/*.fmu"))) == 6
+    assert len(list(tmp_path.glob("*/*.fmu"))) == 8
