@@ -10,15 +10,21 @@ from typing import Final, Literal, get_args
 import click
 
 from can_rig.assessment.resolve import load
+from can_rig.campaigns.plan import Plan, plan
+from can_rig.campaigns.settings import read_campaign
 from can_rig.cli.options import force_option, scenario_options
-from can_rig.cli.output import say, tell
+from can_rig.cli.output import progress, say, tell
+from can_rig.errors import ExportError
 from can_rig.export.application import exported, in_precision, write
 from can_rig.export.controller_fmu import controller_model, node_model
 from can_rig.export.fmu import name_of, write_fmus
 from can_rig.plant.car_fmu import car_model, write_inputs
+from can_rig.scenario.build import network_of
+from can_rig.scenario.controls import controls
 from can_rig.scenario.fault_settings import FaultKind, FaultSettings
 from can_rig.scenario.settings import Scenario
-from firmware_model.law.structs import Precision
+from firmware_model.firmware import fingerprint
+from firmware_model.law.structs import FloatArray, Precision
 
 FAULTS: Final[
     tuple[tuple[str, FaultKind, Literal["torque", "force-difference", "sensor"]], ...]
@@ -63,7 +69,23 @@ FAULTS: Final[
     "with_evidence",
     is_flag=True,
     help="Also measure, into FOLDER/evidence.html and .json: size, stack, instructions on emulated "
-    "boards, random trials against Python and their coverage, findings of analysers, MISRA C.",
+    "boards, random trials against Python with their coverage and MC/DC, mutants, findings of "
+    "analysers, MISRA C.",
+)
+@click.option(
+    "--campaign",
+    "campaigns",
+    metavar="NAME",
+    multiple=True,
+    help="With --evidence: count instructions in the runs of this campaign too; may be given "
+    "several times.",
+)
+@click.option(
+    "--runs",
+    type=click.IntRange(1),
+    default=100,
+    show_default=True,
+    help="Of each campaign, from its first run on.",
 )
 @force_option
 def command(
@@ -74,6 +96,8 @@ def command(
     prefix: str | None,
     as_fmu: bool,
     with_evidence: bool,
+    campaigns: tuple[str, ...],
+    runs: int,
     force: bool,
 ) -> None:
     """Write SCENARIO's controller as C99, with its constants and a makefile.
@@ -81,6 +105,8 @@ def command(
     The C code is a translation of the Python code behind `can-rig run`, with the same bits in every
     tick. Applications call FOLDER/firmware.h; `make -C FOLDER` builds an example.
     """
+    if campaigns and not with_evidence:
+        raise click.UsageError("--campaign: must come with --evidence")
     chosen = load(scenario, settings)
     if precision is not None:
         chosen = in_precision(chosen, precision)
@@ -91,11 +117,13 @@ def command(
         _write_fmus(chosen, out, force)
         return
     files = exported(chosen, prefix)
+    own = [*settings, f'design.precision="{chosen.design.precision}"']
+    plans = [plan(read_campaign(each, own, scenario=[scenario])) for each in campaigns]
     write(files, out, force)
     lines = sum(text.count("\n") for name, text in files.items() if name.endswith((".c", ".h")))
     say(f"{out}: {len(files)} files, {lines} lines of C")
     if with_evidence:
-        write(files | _record(chosen, files), out, force=True)
+        write(files | _record(chosen, files, plans, runs), out, force=True)
         say(f"{out / 'evidence.html'}, and the same as evidence.json")
 
 
@@ -113,15 +141,38 @@ def _write_fmus(scenario: Scenario, out: Path, force: bool) -> None:
     say(str(inputs))
 
 
-def _record(scenario: Scenario, files: dict[str, str]) -> dict[str, str]:
-    """``evidence.json`` and ``evidence.html``, with the scenario's run and runs of faults."""
+def _record(
+    scenario: Scenario, files: dict[str, str], plans: list[Plan], runs: int
+) -> dict[str, str]:
+    """``evidence.json`` and ``evidence.html``, with runs of the scenario, faults and campaigns."""
     from can_rig.export.evidence import as_page, evidence  # noqa: PLC0415
     from can_rig.plant.frameless import controller_inputs  # noqa: PLC0415
 
-    runs = {"as in the scenario": scenario}
+    own = {"as in the scenario": scenario}
     for name, kind, channel in FAULTS:
         fault = FaultSettings(kind=kind, channel=channel, at_s=scenario.duration_s / 2)
-        runs[name] = replace(scenario, fault=(fault,))
-    inputs = {name: controller_inputs(each) for name, each in runs.items()}
-    record = evidence(scenario, files, inputs)
+        own[name] = replace(scenario, fault=(fault,))
+    inputs = {name: controller_inputs(each) for name, each in own.items()}
+    of_campaigns: dict[str, dict[str, FloatArray]] = {each.settings.name: {} for each in plans}
+    with progress("evidence", "steps") as bar:
+        for each in plans:
+            last = min(each.runs, each.searched + runs)
+            for number in range(each.searched, last):
+                run, choices = each.scenario_of(number), each.values_of(number)
+                _require_same_law(scenario, run, f"campaign {each.settings.name}: run {number}")
+                said = [str(choices[key]) for key in each.settings.choices]
+                name = ", ".join([str(number), *said])
+                of_campaigns[each.settings.name][name] = controller_inputs(run)
+                bar.count(number - each.searched + 1, last - each.searched)
+        record = evidence(scenario, files, inputs, of_campaigns, bar.count)
     return {"evidence.json": json.dumps(record, indent=2) + "\n", "evidence.html": as_page(record)}
+
+
+def _require_same_law(one: Scenario, other: Scenario, where: str) -> None:
+    """Refuse a run with constants that are not the exported ones."""
+    of, its = (controls(each, network_of(each)) for each in (one, other))
+    if fingerprint(its.table, its.schedule) != fingerprint(of.table, of.schedule):
+        raise ExportError(
+            f"{where}: has a controller with other constants than the exported one; axes and "
+            "settings must leave the design as it is"
+        )

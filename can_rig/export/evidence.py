@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import hashlib
 import html
+import os
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any, Final
@@ -17,11 +19,12 @@ from typing import Any, Final
 import numpy as np
 
 from can_rig.drawing.html import Code, page, table
-from can_rig.export.application import application
+from can_rig.export.application import application, exported
 from can_rig.export.boards import BOARDS, COMPILER, EMULATOR
 from can_rig.export.costs import BOARDS_OF, instructions, instructions_by_file, law_of, sizes
 from can_rig.export.findings import COMPILERS, coverage, eva, findings, misra
 from can_rig.export.law import law_modules
+from can_rig.export.mutants import score
 from can_rig.export.provenance import MANIFEST, PROJECT
 from can_rig.frames.network import Network
 from can_rig.scenario.build import network_of
@@ -32,6 +35,7 @@ Record = dict[str, Any]
 
 NEEDS: Final = {
     "trials": ("gcc", "gcov"),
+    "mutants": ("gcc",),
     "memory": (COMPILER,),
     "instructions": (COMPILER, EMULATOR),
     "misra": ("cppcheck",),
@@ -43,7 +47,11 @@ OUTSIDE: Final = "compiler's library"
 
 
 def evidence(
-    scenario: Scenario, files: Mapping[str, str], runs: Mapping[str, FloatArray]
+    scenario: Scenario,
+    files: Mapping[str, str],
+    runs: Mapping[str, FloatArray],
+    campaigns: Mapping[str, Mapping[str, FloatArray]],
+    on_step: Callable[[int, int], object] = lambda done, of: None,
 ) -> Record:
     """What tools measure on a scenario's controller, as numbers, texts, lists and dictionaries.
 
@@ -52,6 +60,8 @@ def evidence(
         files: the whole export, text by file name.
         runs: the inputs of runs, from ``frameless.controller_inputs``, by name; the first is the
             scenario's own.
+        campaigns: the same of campaigns, of which the worst run is recorded.
+        on_step: called with the done and all steps of long measurements, one after another.
 
     Raises:
         ExportError: a tool refuses.
@@ -60,8 +70,13 @@ def evidence(
     boards = BOARDS_OF[scenario.design.precision]
     measured: dict[str, Callable[[], Any]] = {
         "trials": lambda: asdict(coverage(scenario)),
+        "mutants": lambda: asdict(score(scenario, exported(scenario), on_step)),
         "memory": lambda: {each: asdict(sizes(law_of(node), each)) for each in boards},
-        "instructions": lambda: {each: _instructions(node, network, each, runs) for each in boards},
+        "instructions": lambda: {
+            each: _instructions(node, network, each, runs)
+            | {"campaigns": _worst_of(node, network, each, campaigns, on_step)}
+            for each in boards
+        },
         "misra": lambda: misra(files),
         "eva": lambda: eva(files),
     }
@@ -123,6 +138,31 @@ def _instructions(
     }
 
 
+def _worst_of(
+    node: Mapping[str, str],
+    network: Network,
+    board: str,
+    campaigns: Mapping[str, Mapping[str, FloatArray]],
+    on_step: Callable[[int, int], object],
+) -> Record:
+    """By campaign, the worst tick of the node on a board in all runs."""
+    found = {}
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for campaign, runs in campaigns.items():
+            counted = pool.map(lambda each: instructions(node, board, each, network), runs.values())
+            spreads = {}
+            for name, counts in zip(runs, counted, strict=True):
+                spreads[name] = _spread(counts)
+                on_step(len(spreads), len(runs))
+            worst = max(spreads, key=lambda name: spreads[name]["worst"])
+            of_runs = float(np.median([each["worst"] for each in spreads.values()]))
+            found[campaign] = {
+                "runs": len(runs), "median of their worst": round(of_runs), "run": worst,
+                **spreads[worst],
+            }  # fmt: skip
+    return found
+
+
 def _largest_first(counts: Mapping[str, float]) -> Record:
     rounded = {name: round(count, 1) for name, count in counts.items()}
     return dict(sorted(rounded.items(), key=lambda each: -each[1]))
@@ -170,6 +210,8 @@ def as_page(record: Record) -> str:
             ),
             "<h2>C against Python</h2>",
             *_of(record, "trials", _trials),
+            "<h2>Mutants of the law</h2>",
+            *_of(record, "mutants", _mutants),
             "<h2>MISRA C:2012: deviations</h2>",
             *_of(record, "misra", _misra_table),
             "<h2>Other findings</h2>",
@@ -212,6 +254,9 @@ def _claims(record: Record) -> Iterator[tuple[str, str, bool | None]]:
         yield "run by random memory and frames", lines, None
         said = f"{found['conditions_proven']} of {found['conditions']} conditions"
         yield "MC/DC of these trials", said, None
+    if (found := record["mutants"]) is not None:
+        said = f"{found['killed']} of {found['sample']}, drawn from {found['possible']}"
+        yield "mutants of the law noticed by trials or self-test", said, None
     warned = [n for n in record["findings"].values() if n is not None]
     said = f"{sum(warned)} findings of {len(warned)} tools"
     yield "compilers and analysers", said, not any(warned)
@@ -223,7 +268,8 @@ def _claims(record: Record) -> Iterator[tuple[str, str, bool | None]]:
     if (alarms := record["eva"]) is not None:
         yield "Frama-C Eva", f"alarms: {len(alarms)}", not alarms
     for board, of in (record["instructions"] or {}).items():
-        most, run = max((each["worst"], run) for run, each in of["node"].items())
+        every = {**of["node"], **{f"{c}, run {e['run']}": e for c, e in of["campaigns"].items()}}
+        most, run = max((each["worst"], run) for run, each in every.items())
         yield f"worst tick of the node, {board}", f"{most} instructions ({run})", None
 
 
@@ -251,6 +297,7 @@ def _instructions_tables(found: Record) -> list[str]:
             f"<h3>{board}, QEMU's {BOARDS[board].machine}</h3>"
             "<p>Counted in every tick of each run; the law takes the inputs of the scenario.</p>",
             table(("run", *of["law"]), ((run, *each.values()) for run, each in spreads.items())),
+            *_campaigns(of["campaigns"]),
             f"<table><tr><th>part of a tick</th><th>mean</th><th></th></tr>{bars}</table>",
             "<details><summary>each file of the law</summary>",
             table(("file", "mean"), of["mean of each file of the law"].items()),
@@ -273,6 +320,31 @@ def _trials(found: Record) -> list[str]:
         "</details>",
         f"<details><summary>{len(found['missed'])} lines not run</summary><p><code>"
         f"{html.escape(', '.join(found['missed']))}</code></p></details>",
+    ]
+
+
+def _campaigns(found: Record) -> list[str]:
+    if not found:
+        return []
+    first = next(iter(found.values()))
+    return [
+        "<p>The node in the runs of campaigns; the last columns are of the run with the worst "
+        "tick.</p>",
+        table(("campaign", *first), ((name, *each.values()) for name, each in found.items())),
+    ]
+
+
+def _mutants(found: Record) -> list[str]:
+    return [
+        "<p>A mutant is the law with one token of its C changed. A random sample is compiled; "
+        "mutants with the same object code, or without any, do not count.</p>",
+        table((), ((name.replace("_", " "), n) for name, n in found.items() if isinstance(n, int))),
+        f"<details><summary>{len(found['survivors'])} mutants not noticed</summary>",
+        table(
+            ("where", "change", "line"),
+            ((where, change, Code(line)) for where, change, line in found["survivors"]),
+        ),
+        "</details>",
     ]
 
 

@@ -147,7 +147,7 @@ def trial_files(law: Mapping[str, str]) -> dict[str, str]:
     return {**law, **{name: support(name, parts_of(law)) for name in ("bench.h", "trial.c")}}
 
 
-def on_host(program: Path, orders: bytes) -> bytes:
+def on_host(program: Path, orders: bytes, longest_s: float = LONGEST_S) -> bytes:
     """The program's answers.
 
     Raises:
@@ -160,11 +160,11 @@ def on_host(program: Path, orders: bytes) -> bytes:
             input=orders,
             capture_output=True,
             check=False,
-            timeout=LONGEST_S,
+            timeout=longest_s,
             cwd=program.parent,
         )
     except subprocess.TimeoutExpired:
-        raise ExportError(f"the trial did not end within {LONGEST_S:g} s") from None
+        raise ExportError(f"the trial did not end within {longest_s:g} s") from None
     if done.returncode or done.stderr:
         lines = done.stderr.decode(errors="replace").splitlines() or [f"{done.returncode}"]
         said = next((line for line in lines if "error" in line.lower()), lines[0])
@@ -343,7 +343,7 @@ def random_state(
         of.elapsed = random.choice([0.0, 1.0, 60.0, of.elapsed], p=[0.85, 0.05, 0.05, 0.05])
     state.echoes.index = random.integers(0, KEPT_TICKS)
     for echo in (state.echoes.channel_1, state.echoes.channel_2):
-        echo.left, echo.believed, echo.good = (random.random(3) < [0.8, 0.4, 0.3]) * [9, 1, 4]
+        echo.left, echo.believed, echo.good = reported(random)
     fill_witness(random, table, state)
     state.hypotheses.verdict = random.choice([TORQUE_OFFSET, FORCE_LOST, *range(len(Verdict))])
     state.monitor.reason = random.choice([0, 0, 0, 0, COMPENSATION_OFF, SWINGING])
@@ -358,11 +358,16 @@ def random_state(
     return states
 
 
+def reported(random: np.random.Generator) -> Any:
+    """How long a report counts, whether a fault is believed, and good reports: of an echo."""
+    return (random.random(3) < [0.8, 0.4, 0.3]) * [random.choice([1, 9]), 1, 4]
+
+
 def fill_witness(random: np.random.Generator, table: Any, state: Any) -> None:
     """What the witness knows, which often agrees with the sensor or with an echo."""
     witness = state.witness
     witness.index = random.integers(0, KEPT_TICKS)
-    witness.left, witness.denied, witness.good = (random.random(3) < [0.8, 0.4, 0.3]) * [9, 1, 4]
+    witness.left, witness.denied, witness.good = reported(random)
     if random.random() < 0.4:  # agrees with itself and with the sensor, not with the model
         witness.apart, witness.inner = 1e-2 * witness.apart, 1e-4 * witness.inner
         state.echoes.channel_1.missing *= 0.1
@@ -560,8 +565,12 @@ def different(one: bytes, other: bytes, trials: list[Trial]) -> int:
     expected = sum(trial.answers for trial in trials)
     if len(one) != expected * size or len(other) != expected * size:
         return expected
-    rows = [np.frombuffer(each, dtype).copy() for each in (one, other)]
-    for row in rows:
-        row[np.isnan(row)] = np.nan
-    same = [row.view(np.uint8).reshape(expected, size) for row in rows]
+    same = [comparable(each, dtype).view(np.uint8).reshape(expected, size) for each in (one, other)]
     return int(np.count_nonzero((same[0] != same[1]).any(axis=1)))
+
+
+def comparable(answers: bytes, precision: Precision) -> FloatArray:
+    """The numbers of ``answers``, in which all not-a-numbers are alike."""
+    numbers = np.frombuffer(answers, precision).copy()
+    numbers[np.isnan(numbers)] = np.nan
+    return numbers

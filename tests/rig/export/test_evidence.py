@@ -33,6 +33,7 @@ from can_rig.export.findings import (
     misra,
 )
 from can_rig.export.law import law_files
+from can_rig.export.mutants import Score
 from can_rig.export.provenance import MANIFEST
 from can_rig.plant.frameless import controller_inputs
 from can_rig.scenario.build import network_of
@@ -116,10 +117,14 @@ SPREAD = {"median": 5555, "worst": 6666, "tick of the worst": 7}
 RECORD = {
     "trials": Coverage(1300, 0, 200, 150, 40, 30, 29, ("biquad.c:7",),
                        (("crc.c:8", "a < b", "never true"),)),
+    "mutants": Score(2000, 0, 300, 7, 298, 297, 150,
+                     (("biquad.c:9", "+ becomes -", "y = a + b;"),)),
     "sizes": Cost(1111, 2222, 3333, 4444),
     "instructions": {"law": SPREAD, "node": {"as in the scenario": SPREAD},
                      "mean of each part": {"filters": 8888.0},
                      "mean of each file of the law": {"biquad.c": 9999.0}},
+    "campaigns": {"faults": {"runs": 70, "median of their worst": 7000, "run": "3, slow",
+                             **SPREAD}},
     "misra": [{"rule": "12.1", "times": 3, "reason": "it is known", "files": {"crc.c": 3}}],
     "eva": [],
 }  # fmt: skip
@@ -131,6 +136,7 @@ RECORD = {
         ([], set()),
         ([EMULATOR], {"instructions"}),
         ([COMPILER, "gcov"], {"memory", "instructions", "trials"}),
+        (["gcc"], {"mutants", "trials"}),
         (["cppcheck", "frama-c"], {"misra", "eva"}),
     ],
     ids=lambda each: " ".join(each) if isinstance(each, list) else "",
@@ -143,8 +149,9 @@ def test_what_a_missing_tool_would_measure_is_named(
     monkeypatch.setattr(evidence, "_version", lambda tool: None if tool in missing else "1.0")
     monkeypatch.setattr("can_rig.cli.export.exported", few_files)
     monkeypatch.setattr(evidence, "findings", lambda files: dict.fromkeys(COMPILERS, 0))
-    for name, answer in (("coverage", "trials"), ("sizes", "sizes"), ("misra", "misra"),
-                         ("_instructions", "instructions"), ("eva", "eva")):  # fmt: skip
+    for name, answer in (("coverage", "trials"), ("score", "mutants"), ("sizes", "sizes"),
+                         ("_instructions", "instructions"), ("_worst_of", "campaigns"),
+                         ("misra", "misra"), ("eva", "eva")):  # fmt: skip
         monkeypatch.setattr(evidence, name, lambda *of, answer=answer: RECORD[answer])
     command = ["export", "default", "--set", "duration_s=0.05", "--evidence", "--out"]
     done = CliRunner().invoke(main, [*command, str(tmp_path / "out")])
@@ -154,6 +161,7 @@ def test_what_a_missing_tool_would_measure_is_named(
     assert {part for part in NEEDS if record[part] is None} == lost
     assert {tool for tool, said in record["tools"].items() if said is None} == {*missing}
     for part, number in (("trials", "biquad.c:7"), ("trials", "a &lt; b"),
+                         ("mutants", "+ becomes -"), ("instructions", "3, slow"),
                          ("memory", "3333"), ("instructions", "8888"),
                          ("misra", "it is known")):  # fmt: skip
         assert (number in shown) is (part not in lost)
@@ -167,7 +175,7 @@ def test_what_does_not_hold_is_seen_at_once() -> None:
     record = {
         "controller": {"scenario": "a<b"}, "tools": dict.fromkeys(("cppcheck", "gcc"), "1.0"),
         "trials": asdict(Coverage(1300, 2, 200, 150, 40, 30, 29, (), ())), "memory": None,
-        "instructions": None, "eva": ["frames.c:7: overflow"],
+        "instructions": None, "mutants": None, "eva": ["frames.c:7: overflow"],
         "misra": [{"rule": "8.4", "times": 1, "reason": None, "files": {"wrong.c": 1}}],
         "findings": {"gcc": 1, "clang": None},
     }  # fmt: skip
@@ -217,6 +225,35 @@ def test_two_counters_count_the_same() -> None:
     worst = found["node"]["own"]
     assert counts[worst["tick of the worst"]] == counts.max()
     assert worst["worst"] == round(counts.max())
+
+
+@EMULATED
+def test_the_worst_run_of_a_campaign_is_named() -> None:
+    """Of three runs the one with a fault in its middle; the same numbers as when counted alone."""
+    node, network = application(SCENARIO), network_of(SCENARIO)
+    quiet = controller_inputs(SCENARIO)
+    runs = {"quiet": quiet, "short": quiet[:7], "wild": np.where(quiet == quiet[9], 1e3, quiet)}
+    steps: list[tuple[int, int]] = []
+    found = evidence._worst_of(
+        node, network, "m4f", {"mine": runs}, lambda *step: steps.append(step)
+    )["mine"]
+    worst = {name: instructions(node, "m4f", each, network).max() for name, each in runs.items()}
+    assert found["run"] == max(worst, key=lambda name: worst[name])
+    assert found["worst"] == round(max(worst.values()))
+    assert found["median of their worst"] == round(sorted(worst.values())[1])
+    assert (found["runs"], steps) == (3, [(1, 3), (2, 3), (3, 3)])
+
+
+def test_a_campaign_must_have_the_exported_controller(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('runs = 3\n[axes]\n"model.mass_kg" = { share = 0.1 }\n', encoding="utf-8")
+    command = ["export", "default", "--evidence", "--campaign", str(file), "--out"]
+    done = CliRunner().invoke(main, [*command, str(tmp_path / "out")])
+    assert done.exit_code == 2
+    assert "campaign mine: run 0: has a controller with other constants" in done.output
+    done = CliRunner().invoke(main, ["export", "default", "--campaign", "faults", "--out", "x"])
+    assert done.exit_code == 2
+    assert "--campaign: must come with --evidence" in done.output
 
 
 @EMULATED

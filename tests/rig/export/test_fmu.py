@@ -233,6 +233,11 @@ def test_a_car_without_commands_holds_them_and_then_lets_go(tmp_path: Path) -> N
             part.step(each, 0.001)
     assert held.outputs == silent.outputs
     assert held.outputs["output"] != 0.0
+    most = network_of(ours).command_1.maximum
+    for part, command in ((held, most), (silent, 1e6 * most)):
+        for _ in range(3):
+            part.step({"command_1": command, "command_2": 0.0}, 0.001)
+    assert held.outputs == silent.outputs  # a frame saturates
 
 
 class OnTheBus:
@@ -247,16 +252,20 @@ class OnTheBus:
             unzipDirectory=str(folder),
             modelIdentifier=model.coSimulation.modelIdentifier,
         )
-        self.fmu.instantiate(
-            eventModeUsed=True, logMessage=lambda *message: self.said.append(message[-1])
-        )
-        self.fmu.enterInitializationMode()
-        self.fmu.exitInitializationMode()
+        self.start(events=True)
         self.rx_data, self.rx_clock, self.tx_data, self.tx_clock = (
             next(each.valueReference for each in model.modelVariables if each.name == name)
             for name in ("rx_data", "rx_clock", "tx_data", "tx_clock")
         )
         self.time_s = 0.0
+
+    def start(self, events: bool) -> None:
+        """Up to the first event."""
+        self.fmu.instantiate(
+            eventModeUsed=events, logMessage=lambda *message: self.said.append(message[-1])
+        )
+        self.fmu.enterInitializationMode()
+        self.fmu.exitInitializationMode()
 
     def event(self, received: bytes = b"") -> bytes:
         """What the node sends in an event that brings these operations."""
@@ -309,7 +318,11 @@ def test_the_node_on_a_bus_sends_the_frames_of_the_rig(name: str, tmp_path: Path
             ticks.append(([], []))
         ticks[-1][answers].append(transmit(frame))
     assert len(ticks) == ours.ticks
+    remote = [operation[:13] + b"\x01" + operation[14:] for operation in ticks[0][0]]
     assert node.event() == struct.pack("<IIBI", 0x40, 13, 1, ours.bus.bitrate)
+    if name != "floats":  # CAN FD has no remote frames
+        node.step(ours.tick_s)
+        assert node.event(b"".join(remote)) == b""
     for received, sent in ticks:
         assert not node.step(ours.tick_s)
         assert node.event(b"".join(received)) == b"".join(sent)
@@ -329,11 +342,16 @@ def test_the_node_answers_an_operation_that_it_does_not_understand(
         struct.pack("<IIIBBH", 0x10, 16, 0x100, 0, 0, 8),
         struct.pack("<II", 0x10, 7),
         struct.pack("<II", 0x10, 400),
+        struct.pack("<II", 0x20, 12),
+        struct.pack("<IIIBBH300x", 0x10, 316, 0x100, 0, 0, 300),
         b"\x10",
     ):
         node.step(0.001)
         answer = struct.pack("<IIH", 0x01, 10 + len(wrong), len(wrong)) + wrong
         assert node.event(confirm + remote + wrong) == answer
+    node.step(0.001)
+    node.fmu.setBinary([node.rx_data], [wrong])
+    assert node.event() == b""  # without its clock nothing is received
     node.step(0.001)
     node.fmu.setClock([node.rx_clock], [True])
     with pytest.raises(FMICallException):
@@ -344,6 +362,9 @@ def test_the_node_answers_an_operation_that_it_does_not_understand(
         b"a binary to set must be rx_data, of at most 4096 bytes",
         b"a clock to set must be rx_clock",
     ]
+    with pytest.raises(Exception, match="instantiate"):
+        node.start(events=False)
+    assert node.said[2:] == [b"eventModeUsed must be true: frames come and go in events"]
 
 
 @pytest.fixture(scope="module")
@@ -431,3 +452,9 @@ def test_it_is_refused_in_one_line(exported: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "inputs_default.csv: has no input for actuator-stuck" in done.stderr
     assert len(list(tmp_path.glob("*/*.fmu"))) == 8
+    for path in tmp_path.glob("fmi3/c*.fmu"):
+        part = EXAMPLE["Part"](path, {})
+        for each in part.model.modelVariables:
+            if each.start is not None:
+                (value,) = getattr(part.fmu, f"get{each.type}")([each.valueReference])
+                assert value == float(each.start), each.name
