@@ -40,7 +40,7 @@ from firmware_model.law.layout import precision_of, state_type, table_type
 from firmware_model.law.monitor import COMPENSATION_OFF, SWINGING
 from firmware_model.law.schedule import MAX_SPEEDS, Constants
 from firmware_model.law.schedule import State as BlendState
-from firmware_model.law.status import Verdict
+from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import (
     MAX_LATENCY_TICKS,
     MAX_SECTIONS,
@@ -334,7 +334,8 @@ def random_state(
             for name in names:
                 size = random.exponential() * 10.0 ** random.uniform(-2.0, 2.0)
                 setattr(part_of(state, where), name, size)
-    state.mode, state.fault_state = random.integers(0, 4, 2)
+    state.mode = random.integers(0, 4)
+    state.fault_state = random.choice([*FaultState, FaultState.CONFIRMED])
     saved, signatures = state.saved, state.hypotheses.signatures
     saved.fingerprint, signatures.obeyed = int(random.random() < 0.2), random.integers(0, 2)
     saved.fault_state, saved.verdict = random.integers(0, 4), random.integers(0, len(Verdict))
@@ -345,7 +346,7 @@ def random_state(
     for echo in (state.echoes.channel_1, state.echoes.channel_2):
         echo.left, echo.believed, echo.good = reported(random)
     fill_witness(random, table, state)
-    state.hypotheses.verdict = random.choice([TORQUE_OFFSET, FORCE_LOST, *range(len(Verdict))])
+    state.hypotheses.verdict = random.choice([TORQUE_OFFSET, FORCE_LOST] * 4 + [*Verdict])
     state.monitor.reason = random.choice([0, 0, 0, 0, COMPENSATION_OFF, SWINGING])
     state.takeover.pending = random.choice([0, 0, 0, 0, 1, 2])
     state.takeover.active = random.integers(0, 2)

@@ -20,9 +20,10 @@ from can_rig.export.conditions import Recording
 NAMES = "abcd"
 ASSIGNMENTS = [*product((0, 1), repeat=len(NAMES))]
 FORMS = (
-    "return {};", "if ({}) {{ return 1; }} return 0;", "return ({}) ? 1 : 0;",
+    "if ({}) {{ return 1; }} return 0;", "return ({}) ? 1 : 0;",
     "for (int i = 0; i < 1; i++) {{ while ({}) {{ return 1; }} }} return 0;",
-    "const int x = /* && */ {}; return x;", "return sum(1, {}, 2);",
+    "if ({}) return 1; else return 0;", "return {};", "const int x = /* && */ {}; return x;",
+    "return sum(1, {}, 2);",
 )  # fmt: skip
 
 
@@ -33,8 +34,8 @@ def an_expression(choose: random.Random, names: list[str]) -> str:
         return form.format(names[0])
     cut = choose.randrange(1, len(names))
     parts = [an_expression(choose, each) for each in (names[:cut], names[cut:])]
-    inside = choose.choice([" && ", " || "]).join(f"({part})" for part in parts)
-    return f"!({inside})" if choose.random() < 0.2 else inside
+    inside = choose.choice([" && ", " || "]).join(parts)
+    return choose.choice([f"!({inside})", f"({inside})", inside, inside, inside])
 
 
 def in_python(expression: str) -> str:
@@ -71,11 +72,12 @@ def by_definition(expression: str, given: list[tuple[int, ...]]) -> set[str]:
 def test_conditions_are_proven_by_what_decides_both_ways(tmp_path: Path) -> None:
     choose = random.Random(3)
     expressions, cases, functions, calls = [], [], [], []
-    for number in range(150):
-        names = choose.sample(NAMES, choose.randint(2, len(NAMES)))
+    for number in range(400):
+        names = choose.sample(NAMES, choose.randint(1, len(NAMES)))
         expressions.append(an_expression(choose, names))
+        bare = expressions[-1] in NAMES  # a decision by its place alone
         cases.append(choose.sample(ASSIGNMENTS, choose.randint(2, 8)))
-        body = choose.choice(FORMS).format(expressions[-1])
+        body = choose.choice(FORMS[:4] if bare else FORMS).format(expressions[-1])
         functions.append(f"static int f{number}(int a, int b, int c, int d) {{ {body} }}")
         calls += [f"f{number}({', '.join(map(str, each))});" for each in cases[-1]]
     text = "\n".join([
