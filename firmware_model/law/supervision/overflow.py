@@ -18,9 +18,9 @@ from firmware_model.law.core.tracking import missing_output
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SHOWN_TICKS
 from firmware_model.law.supervision.bumpless_transfer import release
+from firmware_model.law.supervision.corroboration import settle_corroboration
 from firmware_model.law.supervision.covariance import LOSS_STATES
 from firmware_model.law.supervision.decision import CLEAR, compensated_output
-from firmware_model.law.supervision.corroboration import settle_corroboration
 from firmware_model.law.supervision.echoes import KEPT_TICKS
 from firmware_model.law.supervision.likelihood_ratio import start_candidate
 from firmware_model.law.supervision.loss_model import clear_loss_model
