@@ -1,4 +1,4 @@
-"""Do the direct witnesses confirm what d̂ alone says?
+"""Corroboration: what d̂ alone says waits for the direct witnesses.
 
 The echo of actuator 1 speaks of the torque, the echo of actuator 2 of the force difference, and the
 witness of the sensor. Wind, a bank and a slippery road move D* as a lost torque or a drifting
