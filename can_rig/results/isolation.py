@@ -136,7 +136,7 @@ _WORDS: Final = {
     Verdict.SENSOR_WRONG: "{output} sensor wrong",
     Verdict.SENSOR_DRIFTING: "{output} sensor drifting",
     Verdict.SENSOR_FROZEN: "{output} sensor frozen",
-    Verdict.ANOTHER_CAR: "no fault, another plant than the model",
+    Verdict.ANOTHER_CAR: "no fault: another plant than the model, or wind or road",
     Verdict.BOTH_LOST: "{command_1} and {command_2} lost",
     Verdict.CANNOT_BE_TOLD: "cannot be told",
     Verdict.COMPENSATION_OFF: "monitor: the car swings, {command_2} taken away",

@@ -247,6 +247,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         noise_rms=sensor.noise_mps2,
         noise_pole=math.exp(-scenario.tick_s / sensor.lag_s) if sensor.lag_s > 0.0 else 0.0,
         disturbance=scenario.budget.disturbance_mps2,
+        gust=scenario.budget.gust_mps2,
         resolution=math.hypot(sensor.resolution_mps2, lsb),
         false_alarms_per_hour=scenario.budget.false_alarms_per_hour,
         suspicions_per_hour=scenario.budget.suspicions_per_hour,

@@ -289,7 +289,8 @@ class BudgetSettings:
     ``box`` is the uncertainty of the car's mass, both cornering stiffnesses and speed, 0.2 for ±20
     %; ``actuator_box`` likewise for the lags of both actuators. At most ``false_alarms_per_hour``
     losses are confirmed by chance; ``suspicions_per_hour`` are suspected for a few ticks. Wind,
-    road and drifts move a healthy D* by ``disturbance_mps2`` (rms) within a second.
+    road and drifts move a healthy D* by ``disturbance_mps2`` (rms) within a second, and
+    a gust by ``gust_mps2`` at most within a third of a second.
     With a peak |S| above ``peak_sensitivity``, or fewer than ``spare_ticks`` of further delay, a
     stable loop has a thin margin.
     """
@@ -299,6 +300,7 @@ class BudgetSettings:
     false_alarms_per_hour: PositiveFloat = 0.001
     suspicions_per_hour: PositiveFloat = 3600.0
     disturbance_mps2: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
+    gust_mps2: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     peak_sensitivity: Annotated[float, Field(gt=1.0)] = 5.0
     spare_ticks: NonNegativeInt = 0
 

@@ -63,6 +63,8 @@ def fill_hypotheses(table: Table, target: Target) -> None:
     fill_frozen(constants.frozen, target)
     if target.echoes is not None:
         fill_echoes(table.echoes, target.echoes, target.tick_s)
+        table.corroboration.gust = target.gust
+        table.corroboration.follow = 1.0 - math.exp(-target.tick_s / GUST_S)
 
 
 def fill_witness(witness: WitnessConstants, of: Witness, target: Target) -> None:
@@ -196,6 +198,7 @@ KEEP = 0.8  # factor per sample of the fading sums of a witness
 NEARER = 4.0  # ratio of squares: who is wrong is twice as far away
 APART = 7.0  # deviations of the noise, in a fading sum of five samples
 AGREEING_SAMPLES = 200  # consecutive samples end the denial of a sensor
+GUST_S = 1.0 / 3.0  # lag behind which a change is slow: steers and gusts differ most
 CLEAR_OF_NOISE = 8.0  # least output, in deviations of the noise, to say that it is missing
 ECHO_S, LEAST_ECHO_TICKS = 0.1, 5  # an echo that stays away for longer gives no information
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1

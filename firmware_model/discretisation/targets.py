@@ -65,6 +65,9 @@ class Target:
         noise_pole: a of coloured noise, n(k) = a n(k-1) + white; 0 for white noise.
         disturbance: rms change of a healthy measurement within a second by wind, road or drift, in
             the measurement's unit; 0 for a plant that only its commands move.
+        gust: largest change of a healthy measurement by wind or road within ``GUST_S``, in the
+            measurement's unit; up to there an echo that denies a loss is believed. 0: from d̂
+            alone, a loss may be confirmed at any time.
         resolution: step of the measurement, bus rounding included.
         mismatch: cars different from the model; the default trusts the model.
         false_alarms_per_hour: losses confirmed by chance, at most.
@@ -97,6 +100,7 @@ class Target:
     noise_rms: float = 0.0
     noise_pole: float = 0.0
     disturbance: float = 0.0
+    gust: float = 0.0
     resolution: float = 0.0
     mismatch: Mismatch = TRUSTED
     false_alarms_per_hour: float = 0.001

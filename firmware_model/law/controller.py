@@ -57,6 +57,7 @@ from firmware_model.law.precision import real
 from firmware_model.law.status import Mode
 from firmware_model.law.structs import RecordArray
 from firmware_model.law.supervision.bumpless_transfer import release, transfer
+from firmware_model.law.supervision.corroboration import settle_corroboration
 from firmware_model.law.supervision.decision import (
     CLEAR,
     CONFIRMED,
@@ -412,6 +413,7 @@ def settle_loop(table: Table, state: State, target: float) -> None:
     clear_hypotheses(state)
     settle_echoes(table, state)
     settle_witness(state.witness, target)
+    settle_corroboration(state.corroboration)
     clear_prediction(state.prediction)
     recall_car(table, state)
     state.safe_stop.elapsed = state.standby.elapsed = 0.0

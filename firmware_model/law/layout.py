@@ -44,6 +44,8 @@ from firmware_model.law.supervision.bumpless_transfer import (
 from firmware_model.law.supervision.bumpless_transfer import (
     State as BumplessTransferState,
 )
+from firmware_model.law.supervision.corroboration import Constants as CorroborationConstants
+from firmware_model.law.supervision.corroboration import State as CorroborationState
 from firmware_model.law.supervision.decision import (
     Constants as DecisionConstants,
 )
@@ -103,6 +105,7 @@ class Table(Struct):
     bumpless_transfer: Annotated[BumplessTransferConstants, "1", "of F̂ to s w"]
     echoes: Annotated[EchoesConstants, "1", "of what the actuators report"]
     witness: Annotated[WitnessConstants, "1", "of yaw rate and lateral acceleration"]
+    corroboration: Annotated[CorroborationConstants, "1", "of findings from d̂ alone"]
     hypotheses: Annotated[verdict.Constants, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopConstants, "1", "where both actuators are lost"]
     prediction: Annotated[PredictionConstants, "1", "in place of a missing measurement"]
@@ -129,6 +132,7 @@ class State(status.State):
     bumpless_transfer: Annotated[BumplessTransferState, "1", "of F̂ to s w"]
     echoes: Annotated[EchoesState, "1", "what the actuators report"]
     witness: Annotated[WitnessState, "1", "what yaw rate and lateral acceleration say"]
+    corroboration: Annotated[CorroborationState, "1", "how fast d̂ changes"]
     hypotheses: Annotated[verdict.State, "1", "hypotheses of the fault's place"]
     safe_stop: Annotated[SafeStopState, "1", "where the commands have to go"]
     prediction: Annotated[PredictionState, "1", "in place of a missing measurement"]

@@ -55,7 +55,7 @@ class Verdict(IntEnum):
     SENSOR_FROZEN = 6
     """The sensor says the same, whatever the plant does."""
     ANOTHER_CAR = 7
-    """No fault: the plant is not the model."""
+    """No fault: the plant is not the model, or wind or road moves the plant."""
     BOTH_LOST = 8
     """Channel 2 is lost after channel 1."""
     CANNOT_BE_TOLD = 9

@@ -27,7 +27,8 @@ from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import Struct
 from firmware_model.law.supervision.bumpless_transfer import begin_transfer
-from firmware_model.law.supervision.echoes import confesses, known_output, says_lost
+from firmware_model.law.supervision.corroboration import follow_residual, torque_waits
+from firmware_model.law.supervision.echoes import known_output, says_lost
 from firmware_model.law.supervision.likelihood_ratio import (
     forget_candidate,
     lost_share,
@@ -54,11 +55,6 @@ from firmware_model.law.supervision.verdict import (
     clear_hypotheses,
     found_elsewhere,
     weigh_hypotheses,
-)
-from firmware_model.law.supervision.witness import (
-    acquits,
-    agrees_with_itself,
-    contradicts,
 )
 
 if TYPE_CHECKING:
@@ -101,6 +97,8 @@ def decide(
     """
     constants, test = table.decision, state.sequential_test
     show_acting_commands(table, state)
+    if table.corroboration.gust > 0.0:
+        follow_residual(table.corroboration, state.corroboration, residual)
     before, w = state.fault_state, loss_shown(table, state)
     known = sensor_error_shown(table, state)
     predict_mismatch(table, state, model_1 + model_2, w, earlier_shown(table, state))
@@ -121,7 +119,7 @@ def decide(
         return
     if is_acquitted(table, state):
         state.fault_state = CANNOT_TELL
-    elif test.evidence > needed_evidence(table, state) and not has_to_wait(table, state):
+    elif test.evidence > needed_evidence(table, state) and not torque_waits(table, state):
         confirm(table, state)
     elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
         state.fault_state = SUSPECTED
@@ -146,8 +144,7 @@ def is_acquitted(table: Table, state: layout.State) -> bool:
 def needed_evidence(table: Table, state: layout.State) -> float:
     """The evidence that confirms a loss of channel 1.
 
-    Less is needed where the echo of actuator 1 says so too. An echo that denies the loss counts for
-    nothing: a drive that hangs repeats its command.
+    Less is needed where the echo of actuator 1 says so too.
     """
     constants, test = table.decision, state.sequential_test
     needed: float = constants.confirm
@@ -157,22 +154,6 @@ def needed_evidence(table: Table, state: layout.State) -> float:
     elif test.of_takeover == 1 or says_lost(table.echoes.actuator_1, echo):
         needed = constants.suspect
     return needed
-
-
-@firmware
-def has_to_wait(table: Table, state: layout.State) -> bool:
-    """Whether d̂ alone shows a loss, and others can tell soon.
-
-    The witness contradicts the sensor; or the echo denies the loss, and the witness does not show
-    the loss yet, or the echo of actuator 2 shows a fault there.
-    """
-    own, echo = state.witness, state.echoes.channel_1
-    denied = echo.left > 0 and echo.believed == 0 and not says_lost(table.echoes.actuator_1, echo)
-    told = own.age < state.sequential_test.age and acquits(table.witness, own)
-    sound = own.left > 0 and agrees_with_itself(table.witness, own)
-    elsewhere = denied and confesses(table.echoes.actuator_2, state.echoes.channel_2)
-    waits: bool = elsewhere or (sound and denied and not told) or contradicts(table.witness, own)
-    return waits
 
 
 @firmware

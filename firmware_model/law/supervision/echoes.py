@@ -205,8 +205,8 @@ def believe(
 @firmware
 def says_lost(constants: Actuator, own: Echo) -> bool:
     """Whether the last echoes miss a quarter of the actuator's output, more than noise hides."""
-    quarter = real(0.25, own.power)
-    shows = own.left > 0 and own.power > constants.least
+    quarter, nine = real(0.25, own.power), real(9.0, own.power)
+    shows = own.left > 0 and own.power > nine * constants.least  # so a quarter is clear of noise
     lost: bool = shows and own.missing > quarter * own.power
     return lost
 

@@ -18,6 +18,7 @@ from firmware_model.law.core.tracking import missing_output
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SHOWN_TICKS
 from firmware_model.law.supervision.bumpless_transfer import release
+from firmware_model.law.supervision.corroboration import settle_corroboration
 from firmware_model.law.supervision.covariance import LOSS_STATES
 from firmware_model.law.supervision.decision import CLEAR, compensated_output
 from firmware_model.law.supervision.echoes import KEPT_TICKS
@@ -53,6 +54,7 @@ def clear_memories(table: Table, state: State) -> None:
     start_candidate(table, state)
     clear_hypotheses(state)
     settle_witness(state.witness, real(0.0, state.command_1))
+    settle_corroboration(state.corroboration)
     clear_prediction(state.prediction)
     end_takeover(state.takeover)
 

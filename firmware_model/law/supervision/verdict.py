@@ -25,6 +25,7 @@ from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray, Struct
 from firmware_model.law.supervision import candidate, signatures
 from firmware_model.law.supervision.candidate import likeliest
+from firmware_model.law.supervision.corroboration import sensor_waits, torque_waits
 from firmware_model.law.supervision.covariance import LOSS_STATES, variance_of
 from firmware_model.law.supervision.echoes import (
     Echo,
@@ -168,10 +169,8 @@ def judge(table: Table, state: layout.State) -> None:
     torque = strongest(evidence, TORQUE_LOST, FORCE_LOST)
     if lost:  # what is tested is its end
         torque = max(state.sequential_test.evidence, evidence[TORQUE_OFFSET])
-    force, sensor = evidence[FORCE_LOST], strongest(evidence, SENSOR_WRONG, ANOTHER_CAR)
-    if acquits(table.witness, state.witness):
-        sensor = real(0.0, sensor)
-    apart = contradicts(table.witness, state.witness)
+    force, sensor = evidence[FORCE_LOST], of_sensor(table, state)
+    apart, world = contradicts(table.witness, state.witness), of_world(table, state)
     actuators = max(torque, force)
     most = max(actuators, sensor)
     second = max(min(torque, force), min(actuators, sensor))
@@ -188,6 +187,8 @@ def judge(table: Table, state: layout.State) -> None:
         find_by_echo(
             table, state, own.signatures.torque_echo, state.echoes.channel_1, TORQUE_OFFSET
         )
+    elif world > confirm and world >= most and not apart:
+        own.verdict = ANOTHER_CAR if own.verdict == NOTHING else own.verdict
     elif most > confirm and is_clear(table, state, most, second) and not apart:
         find(table, state, likeliest_fault(evidence, most))
     elif own.verdict == NOTHING and most > confirm:
@@ -196,6 +197,31 @@ def judge(table: Table, state: layout.State) -> None:
         enough = table.decision.suspect if was == ANOTHER_CAR else confirm
         own.verdict = ANOTHER_CAR if evidence[ANOTHER_CAR] > enough else NOTHING
     own.verdict = with_echoes(table, state, own.verdict)
+
+
+@firmware
+def of_sensor(table: Table, state: layout.State) -> float:
+    """The most evidence of a fault of the sensor that the witness does not deny."""
+    own, none = state.hypotheses, real(0.0, state.command_1)
+    most = strongest(own.evidence, SENSOR_WRONG, ANOTHER_CAR)
+    if sensor_waits(table, state):
+        most = own.evidence[SENSOR_FROZEN]
+        if own.signatures.jump >= table.hypotheses.jump:
+            most = max(most, own.evidence[SENSOR_WRONG])
+    if acquits(table.witness, state.witness):
+        most = none
+    return most
+
+
+@firmware
+def of_world(table: Table, state: layout.State) -> float:
+    """The most evidence of a fault that its direct witness denies: wind or road looks alike."""
+    own, most = state.hypotheses, real(0.0, state.command_1)
+    if torque_waits(table, state):
+        most = own.evidence[TORQUE_LOST]
+    if sensor_waits(table, state):
+        most = max(most, strongest(own.evidence, SENSOR_WRONG, SENSOR_FROZEN))
+    return most
 
 
 @firmware

@@ -195,11 +195,19 @@ def contradicts(constants: Constants, own: State) -> bool:
 
 
 @firmware
+def agrees_with_sensor(constants: Constants, own: State) -> bool:
+    """Whether the witness is no further from the sensor than noise explains."""
+    agrees: bool = own.apart < unsure(constants, own)
+    return agrees
+
+
+@firmware
 def acquits(constants: Constants, own: State) -> bool:
     """Whether the witness says of d̂ that the sensor is right."""
     limit = unsure(constants, own)
-    off = own.left > 0 and own.witness_off > limit and own.apart < limit
-    acquitted: bool = off and constants.nearer * own.apart < own.sensor_off
+    off = own.left > 0 and own.witness_off > limit
+    agrees = agrees_with_sensor(constants, own)
+    acquitted: bool = off and agrees and constants.nearer * own.apart < own.sensor_off
     return acquitted
 
 

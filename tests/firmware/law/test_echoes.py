@@ -174,6 +174,18 @@ def test_a_loss_is_confirmed_sooner_with_an_echo_and_against_a_lying_one() -> No
     assert told < denied <= alone
 
 
+def test_a_gust_is_no_loss_for_the_echo_denies_it() -> None:
+    def gust(k: int) -> float:
+        return 0.4 * min(k / 300, 1.0)
+
+    alone = drive(table_of(), working, honest, gust)
+    assert FaultState.CONFIRMED in states(alone)
+    told = drive(table_of(gust=0.35), working, honest, gust)
+    assert FaultState.CONFIRMED not in states(told)
+    assert Verdict.TORQUE_LOST not in verdicts(told)
+    assert max(abs(answer.command_2) for answer in told) == 0.0
+
+
 def test_a_force_of_its_own_is_found_by_its_echo_and_is_no_loss_of_the_torque() -> None:
     answers = drive(table_of(), force_swings, honest)
     assert FaultState.CONFIRMED not in states(answers)

@@ -123,6 +123,7 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation: b
     for name in ("difference", "fading", "elapsed"):
         expected.prediction[name] = 0.0
     settle_witness(expected.witness, 0.0)
+    expected.corroboration.slow = expected.corroboration.sudden = 0.0
     start_candidate(table, expected)
     clear_hypotheses(expected)
     end_takeover(expected.takeover)

@@ -167,9 +167,36 @@ def test_a_lost_torque_whose_echo_lies_is_confirmed_once_the_witness_shows_the_l
     assert FAULT < honestly < against < FAULT + 80
 
 
+@pytest.mark.compiled
+def test_a_loss_that_the_echo_denies_is_confirmed_once_no_gust_moves_the_car_so_far() -> None:
+    found = [
+        drive(table_of(echoes=True, gust=gust), acts=dead, echoes=lying).states.index(
+            FaultState.CONFIRMED
+        )
+        for gust in (0.0, 0.1, 0.3)
+    ]
+    assert FAULT < found[0] < found[1] < found[2] < FAULT + 150
+
+
 def as_if_lost(y: float, k: int) -> float:
     """What a car without torque would do, at first."""
     return y - 8.0 * (TICK_S * k) ** 2
+
+
+def carried_away(y: float, k: int) -> float:
+    return y + 0.0004 * k
+
+
+def test_a_drift_that_the_witness_sees_too_is_no_fault_of_the_sensor() -> None:
+    assert Verdict.SENSOR_DRIFTING in drive(table_of(), carried_away, None).verdicts
+    assert Verdict.SENSOR_DRIFTING not in drive(table_of(), carried_away, carried_away).verdicts
+
+
+def test_with_all_witnesses_a_moved_car_is_another_car() -> None:
+    table = table_of(echoes=True, gust=0.35)
+    driven = drive(table, carried_away, carried_away, echoes=honest)
+    assert set(driven.verdicts) == {Verdict.NOTHING, Verdict.ANOTHER_CAR}
+    assert FaultState.CONFIRMED not in driven.states
 
 
 def test_a_sensor_that_pretends_a_loss_deceives_only_until_the_witness_refutes() -> None:

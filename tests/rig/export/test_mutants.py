@@ -68,8 +68,7 @@ def test_what_changes_the_law_is_noticed_and_what_does_not_is_not_counted(
         (planted("biquad.c", "i < cascade->n; i++", "i++", "", files), (True, True)),  # hangs
         (planted("biquad.c", step, "1", "1 /* the same */", files), None),
         (planted("biquad.c", step, "*", "is no C", files), None),
-        (planted("verdict.c", "verdict_find_by_echo(table", "TORQUE_OFFSET", "FORCE_LOST", files),
-         (True, False)),
+        (planted("echoes.c", "quarter", "0.25", "0.75", files), (True, False)),
     ]  # fmt: skip
     monkeypatch.setattr(of_c, "LONGEST_S", 2.0)
     for number, (mutant, expected) in enumerate(cases):

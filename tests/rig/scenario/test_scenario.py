@@ -68,6 +68,7 @@ OTHER = {
     "budget.box": 0.1, "budget.actuator_box": 0.3, "budget.false_alarms_per_hour": 1.0,
     "budget.suspicions_per_hour": 60.0, "budget.peak_sensitivity": 3.0, "budget.spare_ticks": 1,
     "budget.disturbance_mps2": 0.1,
+    "budget.gust_mps2": 0.2,
     "reference.kind": "sine", "reference.amplitude_mps2": 2.0,
     "reference.frequency_rad_per_s": 3.0, "reference.file": "r.csv",
     "fault.kind": "frames-missing", "fault.channel": "force-difference", "fault.at_s": 1.5,
