@@ -204,13 +204,19 @@ def of_sensor(table: Table, state: layout.State) -> float:
     """The most evidence of a fault of the sensor that the witness does not deny."""
     own, none = state.hypotheses, real(0.0, state.command_1)
     most = strongest(own.evidence, SENSOR_WRONG, ANOTHER_CAR)
-    if sensor_waits(table, state):
+    if is_excused(table, state):
         most = own.evidence[SENSOR_FROZEN]
-        if own.signatures.jump >= table.hypotheses.jump:
-            most = max(most, own.evidence[SENSOR_WRONG])
     if acquits(table.witness, state.witness):
         most = none
     return most
+
+
+@firmware
+def is_excused(table: Table, state: layout.State) -> bool:
+    """Whether the witness denies a bias or drift of the sensor: neither wind nor road jumps."""
+    jumps = state.hypotheses.signatures.jump >= table.hypotheses.jump
+    excused: bool = not jumps and sensor_waits(table, state)
+    return excused
 
 
 @firmware
@@ -219,7 +225,7 @@ def of_world(table: Table, state: layout.State) -> float:
     own, most = state.hypotheses, real(0.0, state.command_1)
     if torque_waits(table, state):
         most = own.evidence[TORQUE_LOST]
-    if sensor_waits(table, state):
+    if is_excused(table, state):
         most = max(most, strongest(own.evidence, SENSOR_WRONG, SENSOR_FROZEN))
     return most
 

@@ -178,6 +178,17 @@ def test_a_loss_that_the_echo_denies_is_confirmed_once_no_gust_moves_the_car_so_
     assert FAULT < found[0] < found[1] < found[2] < FAULT + 150
 
 
+def dies_between_samples(y: float, k: int) -> float:
+    return 0.0 if k > 0 else y
+
+
+def test_a_sensor_that_jumps_is_no_car_in_the_wind() -> None:
+    driven = drive(table_of(echoes=True, gust=0.35), dies_between_samples, echoes=honest)
+    assert Verdict.ANOTHER_CAR not in driven.verdicts[FAULT : FAULT + PERIOD]
+    assert Verdict.SENSOR_WRONG in driven.verdicts[FAULT : FAULT + PERIOD]
+    assert FaultState.CONFIRMED not in driven.states
+
+
 def as_if_lost(y: float, k: int) -> float:
     """What a car without torque would do, at first."""
     return y - 8.0 * (TICK_S * k) ** 2
