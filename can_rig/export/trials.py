@@ -381,6 +381,7 @@ def fill_witness(random: np.random.Generator, table: Any, state: Any) -> None:
         )
         shown = output(table.estimator.channel_1, answer, missing)
         with np.errstate(over="ignore"):
+            echo.power = 0.5 * echo.missing + 9.0 * actuator.least
             witness.difference = -shown * random.uniform(0.5, 1.5)
     witness.measured[random.random(KEPT_TICKS) < 0.1] = np.nan
     for sample in (witness.yaw_rate, witness.acceleration):

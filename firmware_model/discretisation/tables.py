@@ -45,7 +45,6 @@ def fill_hypotheses(table: Table, target: Target) -> None:
     constants.ahead = AHEAD
     constants.sensor_ahead = SENSOR_AHEAD
     constants.jump = table.decision.suspect
-    table.sequential_test.most = MOST_SHARE
     constants.both_lost = table.decision.recover
     signatures.candidate.restart = table.sequential_test.restart
     signatures.candidate.lifetime = table.decision.horizon

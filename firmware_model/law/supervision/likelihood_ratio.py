@@ -50,7 +50,6 @@ class Constants(Struct):
     needed: Annotated[float, "1", "information of a decision"]
     promising: Annotated[float, "1", "evidence that keeps an old candidate"]
     deviations: Annotated[float, "1", "deviations by which a share above 1 must exceed 1"]
-    most: Annotated[float, "1", "largest share of a channel in another car"]
 
 
 class State(Struct):
@@ -187,5 +186,5 @@ def lost_share(constants: Constants, test: State) -> float:
         return one
     best = test.correlation / test.information
     least = best - constants.deviations / np.sqrt(test.information)
-    share: float = min(max(best, zero), max(one, min(least, constants.most)))
+    share: float = min(max(best, zero), max(one, least))
     return share

@@ -257,13 +257,3 @@ def test_a_candidate_twice_as_old_that_has_learnt_little_is_stale(
     test.age, test.half_age = age, half_age
     test.information, test.half_information = information, half_information
     assert is_stale(table.sequential_test, test) == stale
-
-
-@pytest.mark.parametrize("correlation", [-3.0, 0.5, 1.2, 1.5, 7.0, 700.0])
-def test_no_share_is_larger_than_in_another_car(correlation: float) -> None:
-    """A jump of the sensor resembles a share of hundreds."""
-    table = build(DESIGN, target(1, other_cars(2)))
-    test = controller.init(table)[0].sequential_test
-    test.correlation, test.information = correlation * 1e6, 1e6
-    share = lost_share(table.sequential_test, test)
-    assert share == pytest.approx(min(max(correlation, 0.0), 1.5), abs=0.01)

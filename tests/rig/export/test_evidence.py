@@ -119,9 +119,9 @@ RECORD = {
                        (("crc.c:8", "a < b", "never true"),)),
     "mutants": Score(2000, 0, 300, 7, 298, 297, 150,
                      (("biquad.c:9", "+ becomes -", "y = a + b;"),)),
-    "sizes": Cost(1111, 2222, 3333, 4444),
+    "sizes": Cost(1111, 2222, 333333, 4444),
     "instructions": {"law": SPREAD, "node": {"as in the scenario": SPREAD},
-                     "mean of each part": {"filters": 8888.0},
+                     "mean of each part": {"filters": 888888.0},
                      "mean of each file of the law": {"biquad.c": 9999.0}},
     "campaigns": {"faults": {"runs": 70, "median of their worst": 7000, "run": "3, slow",
                              **SPREAD}},
@@ -162,7 +162,7 @@ def test_what_a_missing_tool_would_measure_is_named(
     assert {tool for tool, said in record["tools"].items() if said is None} == {*missing}
     for part, number in (("trials", "biquad.c:7"), ("trials", "a &lt; b"),
                          ("mutants", "+ becomes -"), ("instructions", "3, slow"),
-                         ("memory", "3333"), ("instructions", "8888"),
+                         ("memory", "333333"), ("instructions", "888888"),
                          ("misra", "it is known")):  # fmt: skip
         assert (number in shown) is (part not in lost)
     for part in lost:
