@@ -182,7 +182,7 @@ def findings(files: Mapping[str, str]) -> dict[str, int | None]:
 
 
 def misra(files: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Each rule of MISRA C:2012 that is broken: how often, in which files, and for which reason.
+    """Each rule of MISRA C:2012 that is broken: the count, the files and the reason.
 
     Args:
         files: text by file name; bench files are left out.

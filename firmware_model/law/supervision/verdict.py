@@ -169,8 +169,9 @@ def judge(table: Table, state: layout.State) -> None:
     torque = strongest(evidence, TORQUE_LOST, FORCE_LOST)
     if lost:  # what is tested is its end
         torque = max(state.sequential_test.evidence, evidence[TORQUE_OFFSET])
-    force, sensor = evidence[FORCE_LOST], of_sensor(table, state)
-    apart, world = contradicts(table.witness, state.witness), of_world(table, state)
+    excused = is_excused(table, state)
+    force, sensor = evidence[FORCE_LOST], of_sensor(table, state, excused)
+    apart, world = contradicts(table.witness, state.witness), of_world(table, state, excused)
     actuators = max(torque, force)
     most = max(actuators, sensor)
     second = max(min(torque, force), min(actuators, sensor))
@@ -200,11 +201,11 @@ def judge(table: Table, state: layout.State) -> None:
 
 
 @firmware
-def of_sensor(table: Table, state: layout.State) -> float:
+def of_sensor(table: Table, state: layout.State, excused: bool) -> float:
     """The most evidence of a fault of the sensor that the witness does not deny."""
     own, none = state.hypotheses, real(0.0, state.command_1)
     most = strongest(own.evidence, SENSOR_WRONG, ANOTHER_CAR)
-    if is_excused(table, state):
+    if excused:
         most = own.evidence[SENSOR_FROZEN]
     if acquits(table.witness, state.witness):
         most = none
@@ -220,12 +221,12 @@ def is_excused(table: Table, state: layout.State) -> bool:
 
 
 @firmware
-def of_world(table: Table, state: layout.State) -> float:
+def of_world(table: Table, state: layout.State, excused: bool) -> float:
     """The most evidence of a fault that its direct witness denies: wind or road looks alike."""
     own, most = state.hypotheses, real(0.0, state.command_1)
     if torque_waits(table, state):
         most = own.evidence[TORQUE_LOST]
-    if is_excused(table, state):
+    if excused:
         most = max(most, strongest(own.evidence, SENSOR_WRONG, SENSOR_FROZEN))
     return most
 
