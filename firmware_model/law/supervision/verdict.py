@@ -202,19 +202,13 @@ def judge(table: Table, state: layout.State) -> None:
 
 @firmware
 def of_sensor(table: Table, state: layout.State, excused: bool) -> float:
-    """The most evidence of a fault of the sensor that the witness does not deny.
-
-    A sample from before the onset says nothing of the fault.
-    """
-    own, witness, most = state.hypotheses, state.witness, real(0.0, state.command_1)
-    bias, drift = own.signatures.sensor_biased.candidate, own.signatures.sensor_drifting.candidate
-    acquitted = acquits(table.witness, witness)
-    if not (acquitted and witness.age < own.frozen.repetitions):
-        most = max(most, own.evidence[SENSOR_FROZEN])
-    if not (excused or (acquitted and witness.age < bias.age)):
-        most = max(most, own.evidence[SENSOR_WRONG])
-    if not (excused or (acquitted and witness.age < drift.age)):
-        most = max(most, own.evidence[SENSOR_DRIFTING])
+    """The most evidence of a fault of the sensor that the witness does not deny."""
+    own, none = state.hypotheses, real(0.0, state.command_1)
+    most = strongest(own.evidence, SENSOR_WRONG, ANOTHER_CAR)
+    if excused:
+        most = own.evidence[SENSOR_FROZEN]
+    if acquits(table.witness, state.witness):
+        most = none
     return most
 
 
