@@ -150,14 +150,11 @@ class Peer:
 
     def _checked(self, answer: Any) -> Answer:
         """The answer of ``step``, with numbers of Python's."""
-        checked = answer
-        if not isinstance(answer, Answer):
-            try:
-                command_1, command_2 = answer
-            except (TypeError, ValueError):
-                right = "must be (command_1, command_2) or an Answer"
-                raise self._refused(answer, right) from None
-            checked = Answer(command_1, command_2)
+        try:
+            command_1, command_2 = answer[:2] if isinstance(answer, Answer) else answer
+        except (TypeError, ValueError):
+            raise self._refused(answer, "must be (command_1, command_2) or an Answer") from None
+        checked = answer if isinstance(answer, Answer) else Answer(command_1, command_2)
         numbers: dict[str, Any] = {}
         for name in ("command_1", "command_2", "fault_estimate"):
             value = getattr(checked, name)
