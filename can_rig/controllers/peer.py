@@ -12,7 +12,6 @@ from can_rig.controllers.protocol import Answer, Inputs
 from can_rig.controllers.setup import ControllerSetup
 from can_rig.errors import RigError, ScenarioError
 from can_rig.frames.codec import nothing_heard
-from can_rig.scenario.controller_settings import PEERS
 from can_rig.scenario.own_class import as_float, failure, find_class, guard, require_signature
 from firmware_model.law.status import Mode
 
@@ -40,7 +39,7 @@ def class_of(setup: ControllerSetup) -> Callable[[], Any]:
 
     def made() -> Any:
         controller = guard(where, f"{name}(setup) failed", lambda: construct(setup))
-        if chosen.kind in PEERS and setup.unread:
+        if setup.unread:
             raise ScenarioError(setup.unread)
         missing = [each for each in METHODS if not callable(getattr(controller, each, None))]
         if missing:
@@ -152,9 +151,10 @@ class Peer:
     def _checked(self, answer: Any) -> Answer:
         """The answer of ``step``, with numbers of Python's."""
         try:
-            checked = Answer(*answer)
-        except TypeError:
+            command_1, command_2 = answer[:2] if isinstance(answer, Answer) else answer
+        except (TypeError, ValueError):
             raise self._refused(answer, "must be (command_1, command_2) or an Answer") from None
+        checked = answer if isinstance(answer, Answer) else Answer(command_1, command_2)
         numbers: dict[str, Any] = {}
         for name in ("command_1", "command_2", "fault_estimate"):
             value = getattr(checked, name)

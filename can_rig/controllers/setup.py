@@ -25,8 +25,8 @@ class ControllerSetup:
 
     @property
     def unread(self) -> str:
-        """One line on a parameter that ``number`` was never asked for; "" without any."""
-        for name in self.parameters:
+        """One line on a parameter that the controller never asked for; "" without any."""
+        for name in self.scenario.controller.parameters:
             if name not in self._asked:
                 known = ", ".join(sorted(self._asked)) or "none"
                 return f"controller.parameters.{name}: unknown; known: {known}"
@@ -34,13 +34,14 @@ class ControllerSetup:
 
     @property
     def parameters(self) -> Mapping[str, Any]:
-        """The table ``[controller.parameters]``."""
+        """The table ``[controller.parameters]``; whoever reads the table knows all names."""
+        self._asked.update(self.scenario.controller.parameters)
         return self.scenario.controller.parameters
 
     def number(self, name: str, default: float) -> float:
         """A number of ``parameters``; ``default`` where the table has no such number."""
         self._asked.add(name)
-        return float(self.parameters.get(name, default))
+        return float(self.scenario.controller.parameters.get(name, default))
 
     @property
     def tick_s(self) -> float:

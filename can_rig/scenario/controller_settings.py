@@ -8,6 +8,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, PositiveFloat
 from pydantic.dataclasses import dataclass
 
+from can_rig.scenario.own_class import is_class_path
 from can_rig.scenario.plant_settings import (
     FMU,
     STRICT,
@@ -150,12 +151,10 @@ class ControllerSettings:
 
     @property
     def class_path(self) -> str:
-        """``package.module:Class`` of a class or of a shipped controller."""
+        """``FOLDER/package.module:Class`` of a class or of a shipped controller."""
         return PEERS.get(self.kind, self.kind)
 
     @property
     def is_class(self) -> bool:
         """Whether ``kind`` names a class, which need not exist."""
-        module, _, name = self.class_path.partition(":")
-        parts = (name, *module.split("."))
-        return all(part.isidentifier() for part in parts) and not self.is_file
+        return is_class_path(self.class_path) and not self.is_file

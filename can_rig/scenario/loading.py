@@ -26,6 +26,7 @@ from can_rig.scenario import shipped
 from can_rig.scenario.controller_settings import LIBRARY
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import NUMBER, FaultSettings, key_of
+from can_rig.scenario.own_class import is_class_path, seen_from
 from can_rig.scenario.plant_settings import (
     CAR,
     FACTORED,
@@ -230,6 +231,8 @@ FILES: Final = (
     ("controller", "kind", LIBRARY),
 )
 """Keys with a file name, and the prefix of the name."""
+CLASSES: Final = ("plant", "controller")
+"""Tables whose ``kind`` may be a class."""
 LIMITS: Final = ("limit_", "rate_")
 """Prefixes of keys that actuators have and models of actuators lack."""
 
@@ -314,6 +317,10 @@ def written(name: str) -> Written:
             # in a scenario relative to the scenario's file; in --set to the working directory
             file = given.removeprefix(prefix)
             table[key] = prefix + (str(path.parent / file) if file else "")
+    for table in map(values.get, CLASSES):
+        given = table.get("kind") if isinstance(table, dict) else None
+        if isinstance(table, dict) and isinstance(given, str) and is_class_path(given):
+            table["kind"] = seen_from(path.parent, given)
     return Written(name, path.stem, values)
 
 
@@ -379,6 +386,10 @@ def written_by(scenario: Scenario) -> dict[str, Any]:
         file = values[name][key]
         if file and file.startswith(prefix):
             values[name][key] = prefix + str(Path(file.removeprefix(prefix)).resolve())
+    for name in CLASSES:
+        kind = values[name]["kind"]
+        if "/" in kind and is_class_path(kind):
+            values[name]["kind"] = str(Path(kind).resolve())
     lists = {key: values.pop(key) for key in LISTS}
     for key, given in lists.items():
         tables = [given] if isinstance(given, dict) else given

@@ -33,20 +33,41 @@ class _Function:
         pass
 
 
+def _split(path: str) -> tuple[Path, str, str]:
+    """Folder, module and class of ``FOLDER/package.module:Class``."""
+    file, _, name = path.rpartition(":")
+    return Path(file).parent, Path(file).name.removesuffix(".py"), name
+
+
+def is_class_path(text: str) -> bool:
+    """Whether ``text`` reads ``FOLDER/package.module:Class``; folder and class need not exist."""
+    _, module, name = _split(text)
+    return all(part.isidentifier() for part in (name, *module.split(".")))
+
+
+def seen_from(folder: Path, path: str) -> str:
+    """The class ``path`` of a file in ``folder``, for a search from the current directory."""
+    inner, module, _ = _split(path)
+    there = folder / inner / module.replace(".", "/")
+    is_there = there.is_dir() or Path(f"{there}.py").is_file()
+    return str(folder / path) if is_there or "/" in path else path
+
+
 def find_class(where: str, path: str, method: str) -> type[object]:
-    """The class at ``package.module:Class``; the search includes the current directory.
+    """The class at ``FOLDER/package.module:Class``, or of an installed package.
 
     Args:
         where: begins an error's line, as in ``plant.kind = 'mycar:Lag'``.
         path: the class; or a function, which becomes a class with the function as its only method
-            of effect.
+            of effect. Without a folder, the current directory.
         method: this method's name.
 
     Raises:
-        ScenarioError: no such module or class, or a module that cannot be imported.
+        ScenarioError: no such module or class, a module that cannot be imported, or a folder's
+            module that another module of the same name hides.
     """
-    module_name, _, class_name = path.partition(":")
-    here = str(Path.cwd())
+    folder, module_name, class_name = _split(path)
+    here = str(folder.resolve())
     if here not in sys.path:
         sys.path.append(here)  # last: no stray file hides an installed package
     importlib.invalidate_caches()
@@ -57,26 +78,22 @@ def find_class(where: str, path: str, method: str) -> type[object]:
     except BaseException as error:
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing and f"{module_name}.".startswith(f"{missing}."):  # not an import of the module
-            right = module_name.removesuffix(".py")
-            hint = f"; did you mean {right}:{class_name}?" if right != module_name else ""
             raise ScenarioError(
-                f"{where}: no module {missing}, neither installed nor in {here}{hint}"
+                f"{where}: no module {missing}, neither installed nor in {here}"
             ) from None
         raise ScenarioError(failure(where, f"{module_name} cannot be imported", error)) from None
     found = getattr(module, class_name, None)
+    file = getattr(module, "__file__", None) or module_name
+    mine = Path(f"{here}/{module_name.replace('.', '/')}.py")
+    is_other = mine.is_file() and mine.resolve() != Path(file).resolve()
+    hidden = f", which hides {mine}: rename that file" if is_other else ""
+    if hidden and "/" in path:
+        raise ScenarioError(f"{where}: {module_name} is {file}{hidden}")
     if inspect.isfunction(found):
         return type(class_name, (_Function,), {method: staticmethod(found)})
     if not inspect.isclass(found):
-        file = getattr(module, "__file__", None) or module_name
-        mine = Path(f"{module_name.replace('.', '/')}.py").resolve()
-        hidden = f", which hides {mine}: rename that file" if _is_other(mine, file) else ""
         raise ScenarioError(f"{where}: no class or function {class_name} in {file}{hidden}")
     return found
-
-
-def _is_other(mine: Path, file: str) -> bool:
-    """Whether ``mine`` is a file, and another one than ``file``."""
-    return mine.is_file() and mine != Path(file).resolve()
 
 
 def as_float(value: Any) -> float:

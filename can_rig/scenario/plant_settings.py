@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import AfterValidator, ConfigDict, Field, PositiveFloat
 from pydantic.dataclasses import dataclass
 
+from can_rig.scenario.own_class import is_class_path
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import Stage
 from firmware_model.design.vehicle import TABLE_3_2, VehicleParameters
@@ -439,10 +440,8 @@ class PlantSettings(VehicleParameters):
 
     @property
     def is_class(self) -> bool:
-        """Whether ``kind`` reads ``package.module:Class``; the class need not exist."""
-        module, _, name = self.kind.partition(":")
-        parts = (name, *module.split("."))
-        return all(part.isidentifier() for part in parts) and not self.is_fmu
+        """Whether ``kind`` names a class, which need not exist."""
+        return is_class_path(self.kind) and not self.is_fmu
 
     @property
     def linear_kind(self) -> str:

@@ -11,6 +11,8 @@ from typing import Any, Final, get_args, get_origin, get_type_hints
 
 from pydantic import ValidationError
 
+from can_rig.scenario.settings import keys
+
 FEW: Final = 8
 """Words that a line can list."""
 
@@ -37,7 +39,8 @@ def refusal(error: ValidationError, settings: type[Any], where: str = "") -> str
     kind, message = finding["type"], finding["msg"].removeprefix("Value error, ")
     if kind == "unexpected_keyword_argument":
         known = _keys(settings, location[:-1])
-        near = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
+        near = [each for each in keys(settings) if each.endswith(f".{key}")]
+        near += difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
         return f"{key}: unknown key; {hint}"
     if kind == "value_error":

@@ -207,6 +207,7 @@ def test_nothing_jumps_where_the_equations_become_regular():
     assert slope_below == pytest.approx(slope_above, rel=1e-4)
 
 
+@pytest.mark.compiled
 def test_from_standstill_to_motorway():
     """Against the ODE solver; wind and a kick while it stands, ice while it creeps."""
     tick_s, ticks = 0.01, 300

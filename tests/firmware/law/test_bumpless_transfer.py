@@ -51,6 +51,7 @@ def test_of_a_square_of_time_hardly_more_is_missed(missed: float, ticks: int) ->
     assert left[-1] < 0.01 * missed
 
 
+@pytest.mark.compiled
 @given(missed=sizes, speed=sizes, carried=sizes, earlier=sizes)
 @example(missed=1.0, speed=0.5, carried=0.0, earlier=0.0)
 @example(missed=0.5, speed=0.0, carried=0.0, earlier=0.0)  # settled: the pace of the car

@@ -30,6 +30,7 @@ def _drive(firmware: Firmware, reference: np.ndarray, y: np.ndarray) -> np.ndarr
     return np.array([firmware.step(r, m)[:3] for r, m in zip(reference, y, strict=True)])
 
 
+@pytest.mark.compiled
 def test_is_the_law_of_its_own_filters() -> None:
     """u1 = C(r - y), Tustin's; u2 = F̂ d̂ and d̂ = G1 u1 + G2 u2 - y, both at once, by scipy."""
     tick_s, n = 1e-3, 400
@@ -51,6 +52,7 @@ def test_is_the_law_of_its_own_filters() -> None:
     np.testing.assert_allclose(estimate, modelled - y, atol=1e-8 * size)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1, 3])
 @pytest.mark.parametrize("rule", ["tustin", "tustin-held", "zoh"])
 def test_estimator_works_on_the_commands_as_the_plant_gets_them(rule: str, latency: int) -> None:

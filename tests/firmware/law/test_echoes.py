@@ -174,6 +174,7 @@ def test_a_loss_is_confirmed_sooner_with_an_echo_and_against_a_lying_one() -> No
     assert told < denied <= alone
 
 
+@pytest.mark.compiled
 def test_a_gust_is_no_loss_for_the_echo_denies_it() -> None:
     def gust(k: int) -> float:
         return 0.4 * min(k / 300, 1.0)
@@ -239,11 +240,13 @@ def test_a_motor_that_is_stuck_makes_up_for_nothing() -> None:
     assert Verdict.TORQUE_OFFSET in verdicts(answers)
 
 
+@pytest.mark.compiled
 def test_a_force_that_dies_beside_a_lost_torque_is_the_loss_of_both() -> None:
     answers = drive(table_of(), both_dead, honest)
     assert Verdict.BOTH_LOST in verdicts(answers)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("channel", [1, 2])
 def test_a_wrong_echo_of_a_working_actuator_moves_nothing(channel: int) -> None:
     def wrong(outputs: Any, _commands: Any, _k: int) -> Any:

@@ -74,12 +74,12 @@ class Loop:
         assert self.firmware.restore(saved if remembers else b"") is remembers
 
 
-def lost(working: float = 0.0, **changes: Any) -> Loop:
-    """A loop with a confirmed loss, at the top of the sine."""
+def lost(working: float = 0.0, at: int = 600, end: int = 3000, **changes: Any) -> Loop:
+    """A loop with a confirmed loss since the tick ``at``, at the tick ``end``."""
     loop = Loop(table=table_of(**changes) if changes else TABLE)
-    loop.run(600)
+    loop.run(at)
     loop.working = working
-    answers = loop.run(2400)
+    answers = loop.run(end - at)
     assert answers[-1].fault_state == FaultState.CONFIRMED
     return loop
 
@@ -138,6 +138,7 @@ def test_a_known_error_of_the_sensor_stays_known() -> None:
     assert Verdict.NOTHING in {answer.verdict for answer in loop.run(2000)}
 
 
+@pytest.mark.compiled
 def test_the_car_stays_known() -> None:
     loop = Loop()
     loop.run(1000)
@@ -169,9 +170,8 @@ def test_one_flipped_bit_anywhere_is_refused(precision: Precision) -> None:
     assert other.saved() == whole
 
 
-@pytest.mark.compiled
 def test_saved_knowledge_ends_with_a_reset_and_outlives_ticks_without_inputs() -> None:
-    loop = lost()
+    loop = lost(at=200, end=400)
     whole = loop.firmware.saved()
     firmware = Firmware(TABLE)
     firmware.begin()
@@ -179,14 +179,18 @@ def test_saved_knowledge_ends_with_a_reset_and_outlives_ticks_without_inputs() -
     for _ in range(20):
         firmware.step(np.nan, np.nan)
     assert firmware.saved() == whole
+    again = Firmware(TABLE)
+    again.begin()
+    assert again.restore(whole)
+    answer = again.step(loop.reference, loop.reference)
+    assert answer.fault_state == FaultState.CONFIRMED
     firmware.reset(0.0)
     assert firmware.step(0.0, 0.0).fault_state != FaultState.CONFIRMED
 
 
 def test_a_frozen_sensor_before_a_restart_says_nothing_of_the_sensor_after() -> None:
     loop = Loop()
-    loop.run(600)
-    frozen = loop.run(1)[0]
+    frozen = loop.run(200)[-1]
     firmware = loop.firmware
     for _ in range(80):
         frozen = firmware.step(loop.reference, 0.5)

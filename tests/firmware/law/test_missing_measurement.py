@@ -138,6 +138,7 @@ def test_what_the_model_does_not_know_of_a_car_goes_on_too() -> None:
     np.testing.assert_allclose(torques[1500:], torques[1499], rtol=0.01)
 
 
+@pytest.mark.compiled
 def test_a_measurement_that_comes_back_fades_in() -> None:
     """A car that changes unseen: C's answer to the difference is spread over some 50 ms."""
     table = changed(table_of(1, on_confirmation=False), compensator={"feedthrough": 0.0})[0]

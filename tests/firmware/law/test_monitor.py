@@ -281,6 +281,7 @@ def test_a_law_that_is_broken_is_stopped(law: Law, share: float) -> None:
     assert free[-100:].max() > 2.0
 
 
+@pytest.mark.compiled
 def test_the_law_says_what_is_taken_away_and_its_models_follow_what_is_left() -> None:
     firmware = Firmware(build(DESIGN, TARGET))
     firmware.begin(at_rest=True)
@@ -294,7 +295,7 @@ def test_the_law_says_what_is_taken_away_and_its_models_follow_what_is_left() ->
     assert last.fault_estimate == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("latency", [0, 1])
+@pytest.mark.parametrize("latency", [0, pytest.param(1, marks=pytest.mark.compiled)])
 def test_the_law_goes_on_without_the_force_difference(latency: int) -> None:
     """Swings of a loop that compensates take the force difference first, and only then the rest."""
     target = replace(TARGET, latency_ticks=latency, on_confirmation=False)

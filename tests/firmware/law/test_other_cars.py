@@ -90,6 +90,7 @@ def test_settled_cars_stay_and_cleared_cars_rest(parameters: int) -> None:
     assert not shown(table, state, np.zeros((2, 5))).any()
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
 @pytest.mark.parametrize("latency", [0, 1, 3])
 def test_commands_drive_them_when_they_act_and_lost_ones_do_not(latency: int, share: float) -> None:

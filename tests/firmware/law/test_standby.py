@@ -31,6 +31,7 @@ def firmware():
     return made
 
 
+@pytest.mark.compiled
 def test_the_band_of_a_twentieth_below_the_lowest_design_keeps_the_mode(firmware):
     modes = []
     for share in (1.0, 0.951, 0.949, 0.97, 0.999, 1.0, 0.96, 2.0):
@@ -98,6 +99,7 @@ class Car:
         self.y = float(follow_plant(s.phi, s.gamma, s.c, self._x, left * torque, force))
 
 
+@pytest.mark.compiled
 def test_a_car_that_was_turned_by_its_driver_shows_no_fault_while_it_comes_back(firmware):
     its = Car(holding=2.0)
     driven(firmware, SLOW, 3 * TICKS, 0.0, its.y)
@@ -111,6 +113,7 @@ def test_a_car_that_was_turned_by_its_driver_shows_no_fault_while_it_comes_back(
     assert largest < 1e-6 * abs(begin)
 
 
+@pytest.mark.compiled
 def test_a_known_loss_is_taken_over_after_a_short_standby_without_a_bump(firmware):
     its, forces = Car(), []
     firmware.reset(0.0)

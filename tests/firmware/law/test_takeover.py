@@ -163,6 +163,7 @@ def test_a_plant_at_rest_is_not_taken_over() -> None:
     assert begun.run(300, noise=0.01) == told.run(300, noise=0.01)
 
 
+@pytest.mark.compiled
 def test_the_takeover_waits_for_the_first_tick_with_both_inputs() -> None:
     loop, usual = restarted(0)
     last = loop.acting[0]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
+import can_rig
 from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
 from can_rig.assessment.tuning.search import tune
@@ -148,7 +149,10 @@ BAD = {
     "return 0.0, 10**400": r"step at 0 s answers .*: command_2 must be a finite",
     "return __import__('numpy').array([[1.0], [0.0]])": r"command_1 must be a finite number",
     "return 1.0": r"step at 0 s answers 1\.0: must be \(command_1, command_2\) or an Answer",
-    "return 1.0, 2.0, 3.0, 9": r"mode must be None or a code of 0 to 3",
+    "return 1.0, 2.0, 3.0": r"answers \(1\.0, 2\.0, 3\.0\): must be \(command_1, command_2\) or an",
+    "return __import__('can_rig').controllers.protocol.Answer(1.0, 2.0, 3.0, 9)": (
+        r"mode must be None or a code of 0 to 3"
+    ),
     "raise SystemExit": r"step failed at 0 s: SystemExit",
 }
 
@@ -217,7 +221,10 @@ def test_a_bad_class_is_refused_before_the_run(text: str, own: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "right"),
     [
-        ("mine.py:C", r"no module mine\.py, .*; did you mean mine:C\?"),
+        ("other:C", r"no module other, neither installed nor in .*"),
+        ("sub/other:C", r"no module other, neither installed nor in .*/sub$"),
+        ("mine.py:C", r"no class or function C in .*/mine\.py$"),
+        ("./sub/math:log", r"math is .*, which hides .*/sub/math\.py: rename that file"),
         (
             "math:C",
             r"no class or function C in .*math.*, which hides .*/math\.py: rename that file",
@@ -227,10 +234,34 @@ def test_a_bad_class_is_refused_before_the_run(text: str, own: Path) -> None:
 )
 def test_a_class_that_is_not_found_says_where_to_look(kind: str, right: str, own: Path) -> None:
     (own / "sub").mkdir()
-    for name in ("mine", "math", "sub/mine"):
+    for name in ("mine", "math", "sub/mine", "sub/math"):
         (own / f"{name}.py").touch()
     with pytest.raises(ScenarioError, match=right):
         refuse(of(kind))
+
+
+MINE = (
+    "class Mine:\n    def __init__(self, setup): self.kp = setup.number('kp', 20.0)\n"
+    "    def reset(self, reference): pass\n"
+    "    def step(self, inputs): return self.kp * inputs.reference, 0.0\n"
+)
+
+
+@pytest.mark.parametrize(
+    "kind", ["mine:Mine", "mine.py:Mine", "../a/mine:Mine", "package.mine:Mine"]
+)
+def test_a_class_beside_the_scenario_is_found_from_every_folder(kind: str, own: Path) -> None:
+    (own / "a" / "package").mkdir(parents=True)
+    (own / "mine.py").write_text(MINE.replace("20.0", "1.0"))  # not this file: of the folder itself
+    for folder in ("a", "a/package"):
+        (own / folder / "mine.py").write_text(MINE)
+    (own / "a" / "car.toml").write_text(f"[controller]\nkind = '{kind}'\n")
+    scenario = load("a/car.toml")
+    assert peer_of(scenario).step(Inputs(1.0, 0.0)).command_1 == 20.0
+    with pytest.MonkeyPatch.context() as elsewhere:
+        saved = can_rig.save_scenario(scenario, own / "saved.toml")
+        elsewhere.chdir("/")
+        assert peer_of(load(str(saved))).step(Inputs(1.0, 0.0)).command_1 == 20.0
 
 
 @pytest.mark.parametrize(
@@ -238,9 +269,18 @@ def test_a_class_that_is_not_found_says_where_to_look(kind: str, right: str, own
     [
         ("pi", "controller.parameters.kpp: unknown; known: lag_s, lambda_s"),
         ("thesis", "controller.parameters.kpp: unknown; known: none"),
+        ("mine:Mine", "controller.parameters.kpp: unknown; known: kp"),
     ],
 )
-def test_a_shipped_controller_refuses_a_parameter_it_never_reads(kind: str, line: str) -> None:
+def test_a_parameter_that_the_controller_never_reads_is_refused(
+    kind: str, line: str, own: Path
+) -> None:
+    (own / "mine.py").write_text(
+        MINE + "class Reads(Mine):\n"
+        "    def __init__(self, setup): self.kp = len(setup.parameters)\n"
+    )
+    refuse(of("mine:Mine", "controller.parameters.kp=3"))
+    refuse(of("mine:Reads", "controller.parameters.kpp=3"))
     with pytest.raises(ScenarioError) as caught:
         refuse(of(kind, "controller.parameters.kpp=3"))
     assert str(caught.value) == line

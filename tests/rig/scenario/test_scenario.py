@@ -217,6 +217,10 @@ FILES = {
     "not text": (b"\xff\xfe\x00", "not readable as TOML"),
     "unknown table": (b"[fualt]\nat_s = 1.0\n", "fualt: unknown key; did you mean fault?"),
     "unknown key": (b"[fault]\nat = 1.0\n", "fault.at: unknown key; did you mean at_s?"),
+    "key of a table": (
+        b"speed_mps = 20\n",
+        "speed_mps: unknown key; did you mean plant.speed_mps?",
+    ),
     "text for a number": (b'tick_s = "0.001"\n', "tick_s"),
     "not a number": (b"tick_s = nan\n", "tick_s"),
     "a name": (b'name = "other"\n', "name: unknown key"),
