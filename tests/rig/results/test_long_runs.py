@@ -143,7 +143,7 @@ def test_a_damaged_table_is_refused_in_a_line(damage: bytes, folders: Path, tmp_
 def test_memory_hardly_grows_with_a_run(
     bus: str | None, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Bytes a tick, also with reports: what is in a file without a name is not counted."""
+    """Bytes a tick, with reports: what is in a file without a name is not counted."""
     long_from(1500, monkeypatch)
     monkeypatch.setattr(in_windows, "WINDOW_TICKS", 970)
     monkeypatch.setattr("can_rig.drawing.thinning.MAX_POINTS", 1000)
