@@ -17,7 +17,6 @@ from firmware_model.law.structs import Struct
 from firmware_model.law.supervision.echoes import confesses, says_lost
 from firmware_model.law.supervision.witness import (
     acquits,
-    agrees_with_itself,
     agrees_with_sensor,
     contradicts,
 )
@@ -65,10 +64,9 @@ def torque_waits(table: Table, state: layout.State) -> bool:
     own, echo = state.witness, state.echoes.channel_1
     denied = echo.left > 0 and echo.believed == 0 and not says_lost(table.echoes.actuator_1, echo)
     told = own.age < state.sequential_test.age and acquits(table.witness, own)
-    sound = own.left > 0 and agrees_with_itself(table.witness, own)
     elsewhere = confesses(table.echoes.actuator_2, state.echoes.channel_2)
     gentle = abs(state.corroboration.sudden) < table.corroboration.gust
-    waits: bool = denied and (elsewhere or gentle or (sound and not told))
+    waits: bool = denied and (elsewhere or gentle or (own.left > 0 and not told))
     return waits or contradicts(table.witness, own)
 
 

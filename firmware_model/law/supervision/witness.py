@@ -206,9 +206,21 @@ def acquits(constants: Constants, own: State) -> bool:
     """Whether the witness says of d̂ that the sensor is right."""
     limit = unsure(constants, own)
     off = own.left > 0 and own.witness_off > limit
-    agrees = agrees_with_sensor(constants, own)
+    agrees = agrees_with_sensor(constants, own) and not has_jumped(constants, own)
     acquitted: bool = off and agrees and constants.nearer * own.apart < own.sensor_off
     return acquitted
+
+
+@firmware
+def has_jumped(constants: Constants, own: State) -> bool:
+    """Whether y has left p since the last sample, which then says nothing of the sensor now."""
+    jump = real(0.0, own.age)
+    if own.age >= jump and own.age < real(KEPT_TICKS, jump):
+        at = (own.index + KEPT_TICKS - int(own.age)) % KEPT_TICKS
+        jump = own.measured[own.index] - own.healthy[own.index]
+        jump -= own.measured[at] - own.healthy[at]
+    jumped: bool = jump * jump > unsure(constants, own)
+    return jumped
 
 
 @firmware

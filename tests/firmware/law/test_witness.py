@@ -95,12 +95,14 @@ def drive(
     until: int = END,
     push: float = 0.0,
     age: tuple[int, int] = (0, 0),
+    slides: float = 0.0,
     end: int = END,
 ) -> Driven:
     """A drive in which sensor, witness and actuators err from FAULT on.
 
     ``hears``: what the witness says, every PERIOD ticks; None: no witness. ``until``: the sensor
     errs for so long. ``push``: a torque that nobody reports. ``age``: of the witness, and as told.
+    ``slides``: a - V γ.
     """
     firmware, car, driven = Firmware(table), Car(), Driven([], [])
     noise = np.random.default_rng(7).normal(0.0, RMS, (3, END))
@@ -109,8 +111,9 @@ def drive(
         if hears is not None and k % PERIOD == 0:
             then = [*driven.y, y][max(k - age[0], 0)]
             said = hears(then, late) if late >= 0 else then
-            firmware.hear(3, (said + noise[1, k]) / SPEED_MPS, age[1])
-            firmware.hear(4, said + noise[2, k], age[1])
+            turning, sliding = said - WEIGHT * slides, said + (1.0 - WEIGHT) * slides
+            firmware.hear(3, (turning + noise[1, k]) / SPEED_MPS, age[1])
+            firmware.hear(4, sliding + noise[2, k], age[1])
         if echoes is not None and k % PERIOD == 0:
             for channel, echo in enumerate(echoes(car.outputs, car.commands, k), 1):
                 firmware.hear(channel, echo)
@@ -195,6 +198,20 @@ def test_a_sensor_that_jumps_is_no_car_in_the_wind() -> None:
     assert FaultState.CONFIRMED not in driven.states
 
 
+def dies_in_a_pushed_car(y: float, k: int) -> float:
+    return 0.0 if k > 200 else y
+
+
+def test_no_sample_from_before_a_fault_acquits_the_sensor() -> None:
+    """Before the fault the witness confirms the sensor against a model that knows no push."""
+    table, died = table_of(echoes=True, gust=0.35), FAULT + 201
+    driven = drive(table, dies_in_a_pushed_car, echoes=lying, push=1.5)
+    whole = drive(table, echoes=lying, push=1.5)
+    assert driven.verdicts[died] == Verdict.SENSOR_WRONG
+    assert FaultState.CONFIRMED not in driven.states[died:]
+    assert driven.off(whole) < 0.2
+
+
 def as_if_lost(y: float, k: int) -> float:
     """What a car without torque would do, at first."""
     return y - 8.0 * (TICK_S * k) ** 2
@@ -228,8 +245,11 @@ def test_a_sensor_that_pretends_a_loss_deceives_only_until_the_witness_refutes()
     assert pretended.off(healthy()) < 0.4
 
 
-def test_the_echo_of_a_working_motor_keeps_a_pretended_loss_from_being_confirmed() -> None:
-    pretended = drive(table_of(echoes=True), as_if_lost, echoes=honest, end=450)
+@pytest.mark.parametrize("slides", [0.0, 3.0])
+def test_the_echo_of_a_working_motor_keeps_a_pretended_loss_from_being_confirmed(
+    slides: float,
+) -> None:
+    pretended = drive(table_of(echoes=True), as_if_lost, echoes=honest, slides=slides, end=450)
     assert FaultState.CONFIRMED not in pretended.states
     assert Verdict.SENSOR_WRONG in pretended.verdicts
 

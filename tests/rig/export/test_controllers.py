@@ -304,27 +304,50 @@ uint32_t ecu_stalls(const struct ecu *ecu) { return ecu->stalls; }
 Sender = ctypes.CFUNCTYPE(None, ctypes.c_uint32, ctypes.POINTER(ctypes.c_uint8))
 
 
+class NodeInC:
+    """The exported application with a CAN driver of Python."""
+
+    def __init__(self) -> None:
+        self.scenario = load("default", ["duration_s=1", f"tick_s={TICK_US / 1e6}"])
+        self.network = network_of(self.scenario)
+        files = application(self.scenario) | {"driver.c": DRIVER}
+        self.library = ctypes.CDLL(str(shared_library(files)))
+        for asked in (self.library.ecu_is_overdue, self.library.ecu_on_frame):
+            asked.restype = ctypes.c_bool
+        self.sent: list[tuple[int, bytes]] = []
+        self._sender = Sender(lambda frame, data: self.sent.append((frame, bytes(data[:8]))))
+        self.library.set_sender(self._sender)
+        self.ecu = ctypes.create_string_buffer(self.library.ecu_size())
+        self.library.ecu_init(self.ecu)
+
+    def take(self, message: can.Message, now_us: int) -> None:
+        data, now = bytes(message.data), ctypes.c_uint32(now_us)
+        if self.library.ecu_on_frame(self.ecu, message.arbitration_id, len(data), data, now):
+            self.library.ecu_on_tick(self.ecu)
+
+    def is_overdue(self, now_us: int) -> bool:
+        return bool(self.library.ecu_is_overdue(self.ecu, ctypes.c_uint32(now_us)))
+
+
+@pytest.mark.parametrize("ppm", [-200, 200])
+def test_a_clock_that_drifts_misses_no_frame(ppm: int) -> None:
+    """Against the sender's clock the node's clock is off by four ticks at the end."""
+    node = NodeInC()
+    ends = Transmitter(node.network.reference), Transmitter(node.network.feedback)
+    for tick in range(20_000):
+        at_us = tick * TICK_US + ppm * tick * TICK_US // 1_000_000
+        assert not node.is_overdue(at_us)
+        for end in ends:
+            node.take(end.frame(0.0, tick), at_us)
+    assert len(node.sent) == 3 * 20_000
+    assert (node.library.ecu_alive(node.ecu), node.library.ecu_stalls(node.ecu)) == (20_000, 0)
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_a_feedback_that_does_not_come_is_missed(seed: int) -> None:
     """The application with a CAN driver of Python: half a tick late is missed, as in Python."""
-    scenario = load("default", ["duration_s=1", f"tick_s={TICK_US / 1e6}"])
-    choose, network = random.Random(seed), network_of(scenario)
-    library = ctypes.CDLL(str(shared_library(application(scenario) | {"driver.c": DRIVER})))
-    library.ecu_is_overdue.restype = library.ecu_on_frame.restype = ctypes.c_bool
-    sent: list[tuple[int, bytes]] = []
-    sender = Sender(lambda frame, data: sent.append((frame, bytes(data[:8]))))
-    library.set_sender(sender)
-    ecu = ctypes.create_string_buffer(library.ecu_size())
-    library.ecu_init(ecu)
-
-    def take(message: can.Message, now_us: int) -> None:
-        data, now = bytes(message.data), ctypes.c_uint32(now_us)
-        if library.ecu_on_frame(ecu, message.arbitration_id, len(data), data, now):
-            library.ecu_on_tick(ecu)
-
-    def overdue(now_us: int) -> bool:
-        return bool(library.ecu_is_overdue(ecu, ctypes.c_uint32(now_us)))
-
+    choose, node = random.Random(seed), NodeInC()
+    scenario, network, take, overdue = node.scenario, node.network, node.take, node.is_overdue
     expected: list[tuple[int, bytes]] = []
     python = ControllerNode(
         scenario, network, lambda m: expected.append((m.arbitration_id, bytes(m.data))), PYTHON
@@ -343,35 +366,26 @@ def test_a_feedback_that_does_not_come_is_missed(seed: int) -> None:
         if tick and choose.random() < 0.3:
             assert not overdue(at_us + TICK_US // 2 - 200)
             assert overdue(at_us + TICK_US // 2 + 200)
-            library.ecu_on_tick(ecu)
+            node.library.ecu_on_tick(node.ecu)
             python.miss()
             missed += 1
         else:
             python.take(measured)
             take(measured, at_us + choose.randrange(-100, 100))
         assert not overdue(at_us + TICK_US // 2 + 200)
-        assert sent == expected
+        assert node.sent == expected
     assert missed > 20
     assert len(expected) == 3 * 120
 
 
 def test_a_node_that_stood_still_sends_no_burst() -> None:
     """The node makes up for few ticks; after a longer standstill it begins with the next frames."""
-    scenario = load("default", ["duration_s=1", f"tick_s={TICK_US / 1e6}"])
-    network = network_of(scenario)
-    library = ctypes.CDLL(str(shared_library(application(scenario) | {"driver.c": DRIVER})))
-    library.ecu_is_overdue.restype = library.ecu_on_frame.restype = ctypes.c_bool
-    sent: list[bytes] = []
-    sender = Sender(lambda _, data: sent.append(bytes(data[:8])))
-    library.set_sender(sender)
-    ecu = ctypes.create_string_buffer(library.ecu_size())
+    node = NodeInC()
+    library, ecu, sent, network = node.library, node.ecu, node.sent, node.network
 
     def tick(number: int, now_us: int) -> None:
         for end in ends:
-            data = bytes(end.frame(0.01 * (number % 50), number).data)
-            now = ctypes.c_uint32(now_us)
-            if library.ecu_on_frame(ecu, end.codec.frame_id, len(data), data, now):
-                library.ecu_on_tick(ecu)
+            node.take(end.frame(0.01 * (number % 50), number), now_us)
 
     for late_us, made_up in (
         (TICK_US // 2 - 1, 0),
@@ -391,7 +405,7 @@ def test_a_node_that_stood_still_sends_no_burst() -> None:
         now_us = 200 * TICK_US + late_us
         known, kept = (ctypes.create_string_buffer(SAVED_BYTES) for _ in range(2))
         library.ecu_save(ecu, known)
-        while library.ecu_is_overdue(ecu, ctypes.c_uint32(now_us)):
+        while node.is_overdue(now_us):
             library.ecu_on_tick(ecu)
         stalled = late_us > 16 * TICK_US
         assert (len(sent) // 3 - 200, library.ecu_stalls(ecu)) == (made_up, stalled)
@@ -401,7 +415,7 @@ def test_a_node_that_stood_still_sends_no_burst() -> None:
         for number in range(first, first + 30):
             tick(number, number * TICK_US)
         assert len(sent) == 3 * library.ecu_alive(ecu)
-        ticks = [int.from_bytes(data[2:4], "little") for data in sent[-3:]]
+        ticks = [int.from_bytes(data[2:4], "little") for _, data in sent[-3:]]
         assert ticks == [(first + 29) % 65536] * 3 or not stalled
 
 
