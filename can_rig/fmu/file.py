@@ -28,6 +28,7 @@ BINARIES: Final = {"2": fmpy.platform, "3": fmpy.platform_tuple}
 REAL: Final = ("Real", "Float64", "Float32")
 WHOLE: Final = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
 NUMBERS: Final = (*REAL, *WHOLE, "Boolean", "Enumeration")
+GIVEN: Final = ("input", "parameter", "structuralParameter")  # what an FMU does not compute
 SHOWN: Final = 8  # names in a message
 
 DESCRIPTION: Final = "modelDescription.xml"
@@ -206,8 +207,10 @@ class _Names:
                 f"{here}: must be an input of the FMU, not {_a(variable.causality)}; it has "
                 f"{self._some('input')}"
             )
-        if is_output and variable.causality == "input":
-            raise ScenarioError(f"{here}: must be an output of the FMU, not an input")
+        if is_output and variable.causality in GIVEN:
+            raise ScenarioError(
+                f"{here}: must be an output of the FMU, not {_a(variable.causality)}"
+            )
         if is_input and variable.name in flat_parameters(self._request.parameters):
             raise ScenarioError(f"{here}: must not stand in {self._request.table}.parameters too")
         is_real = (is_input or is_output) and key not in self._request.codes

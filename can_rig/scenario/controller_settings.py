@@ -109,7 +109,9 @@ class ControllerSettings:
             )
         given = [key for key in FILTER_NAMES if getattr(self, key)]
         if given and self.kind != FILTERS:
-            raise ValueError(f"{given[0]}: must not be set for kind = {self.kind!r}; {FILTERS} has")
+            raise ValueError(
+                f"{given[0]}: must not be set for kind = {self.kind!r}; kind = {FILTERS!r} has it"
+            )
         if self.kind == FILTERS and not given:
             raise ValueError(f"{FILTER_NAMES[0]}: a filter must be set for kind = {FILTERS!r}")
         for key, value in checked_parameters(self.parameters):

@@ -12,6 +12,7 @@ import numpy as np
 
 from can_rig.errors import ScenarioError, one_line
 from can_rig.scenario.loading import Changes, Whole, as_settings, flat
+from can_rig.scenario.own_class import path_of
 from can_rig.scenario.plant_settings import STATE_SPACE, TRANSFER_FUNCTIONS
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.systems import Polynomials, continuous
@@ -36,7 +37,7 @@ def settings_of(changes: Changes | None) -> list[str]:
 
 
 def kind_of(key: str, value: object) -> str:
-    """``module:Name`` of a class or function; a text as the text stands.
+    """``FOLDER/module:Name`` of a class or function; a text as the text stands.
 
     Raises:
         ScenarioError: neither, or a class or function that no import finds again.
@@ -50,7 +51,7 @@ def kind_of(key: str, value: object) -> str:
         raise ScenarioError(
             f"{key} = {name}: must be at the top level of a module, so that others find the name"
         )
-    return f"{value.__module__}:{name}"
+    return path_of(value.__module__, name)
 
 
 def _settings(key: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -70,7 +71,7 @@ def _settings(key: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _plain(key: str, value: Any) -> Any:
-    if inspect.isclass(value) or inspect.isfunction(value):
+    if inspect.isclass(value) or inspect.isfunction(value) or key.endswith(".kind"):
         return kind_of(key, value)
     if hasattr(value, "to_scipy_sos"):
         return Whole(sos=value.to_scipy_sos().tolist(), tick_s=value.tick_s)

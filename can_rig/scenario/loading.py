@@ -387,9 +387,8 @@ def written_by(scenario: Scenario) -> dict[str, Any]:
         if file and file.startswith(prefix):
             values[name][key] = prefix + str(Path(file.removeprefix(prefix)).resolve())
     for name in CLASSES:
-        kind = values[name]["kind"]
-        if "/" in kind and is_class_path(kind):
-            values[name]["kind"] = str(Path(kind).resolve())
+        if is_class_path(kind := values[name]["kind"]):
+            values[name]["kind"] = seen_from(Path.cwd(), kind)
     lists = {key: values.pop(key) for key in LISTS}
     for key, given in lists.items():
         tables = [given] if isinstance(given, dict) else given

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 from can_rig.errors import RigError, ScenarioError, one_line
 
 Answer = TypeVar("Answer")
+MAIN = "__main__"
 PACKAGE = str(Path(__file__).parents[1])
 
 
@@ -45,6 +46,19 @@ def is_class_path(text: str) -> bool:
     return all(part.isidentifier() for part in (name, *module.split(".")))
 
 
+def path_of(module: str, name: str) -> str:
+    """``FOLDER/module:Name`` of the class ``name``; a script's module is the script's file."""
+    script = _script().with_suffix("")
+    of_script = f"{script.name if script.parent == Path.cwd() else script}:{name}"
+    is_script = module == MAIN and is_class_path(of_script)
+    return of_script if is_script else f"{module}:{name}"
+
+
+def _script() -> Path:
+    """The file that Python runs; the current folder where there is none, as in a notebook."""
+    return Path(getattr(sys.modules[MAIN], "__file__", None) or "").resolve()
+
+
 def seen_from(folder: Path, path: str) -> str:
     """The class ``path`` of a file in ``folder``, for a search from the current directory."""
     inner, module, _ = _split(path)
@@ -71,6 +85,9 @@ def find_class(where: str, path: str, method: str) -> type[object]:
     if here not in sys.path:
         sys.path.append(here)  # last: no stray file hides an installed package
     importlib.invalidate_caches()
+    mine = Path(f"{here}/{module_name.replace('.', '/')}.py")
+    if mine.resolve() == _script():
+        module_name = MAIN
     try:
         module = importlib.import_module(module_name)
     except KeyboardInterrupt:
@@ -84,7 +101,6 @@ def find_class(where: str, path: str, method: str) -> type[object]:
         raise ScenarioError(failure(where, f"{module_name} cannot be imported", error)) from None
     found = getattr(module, class_name, None)
     file = getattr(module, "__file__", None) or module_name
-    mine = Path(f"{here}/{module_name.replace('.', '/')}.py")
     is_other = mine.is_file() and mine.resolve() != Path(file).resolve()
     hidden = f", which hides {mine}: rename that file" if is_other else ""
     if hidden and "/" in path:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import control
@@ -11,7 +14,9 @@ import pytest
 from scipy import signal
 
 import can_rig
+from can_rig.assessment.resolve import load
 from can_rig.controllers.filters_law import filter_of
+from can_rig.controllers.making import peer_of
 from can_rig.controllers.protocol import Inputs
 from can_rig.errors import RigError, ScenarioError
 from can_rig.scenario import shipped
@@ -126,6 +131,39 @@ def test_classes_and_functions_are_controllers_and_plants() -> None:
     np.testing.assert_allclose(output, 0.01 * applied, atol=1e-5)
 
 
+SCRIPT = """
+import can_rig
+
+class Gain:
+    def __init__(self, setup): pass
+    def reset(self, reference): pass
+    def step(self, inputs): return 30.0 * inputs.reference, 0.0
+
+if __name__ == "__main__":
+    made = can_rig.load_scenario("ideal", {"controller.kind": Gain})
+    can_rig.run(made, {"duration_s": 0.01, "fault.kind": "none"}, allow_unstable=True)
+    can_rig.save_scenario(made, "saved.toml")
+    print(can_rig.load_scenario("saved.toml").controller.kind)
+"""
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_a_class_of_a_script_is_found_by_the_script_and_by_others(
+    inside: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, folder = f"script_{inside}", tmp_path / "scripts"
+    folder.mkdir()
+    (folder / f"{name}.py").write_text(SCRIPT)
+    here = folder if inside else tmp_path
+    said = subprocess.run(
+        [sys.executable, str(folder / f"{name}.py")], cwd=here, check=True, capture_output=True
+    )
+    assert said.stdout.decode().strip() == f"{folder / name}:Gain"
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    made = load(str(here / "saved.toml"))
+    assert peer_of(made).step(Inputs(1.0, 0.0)).command_1 == 30.0
+
+
 def test_a_part_of_a_scenario_is_a_table() -> None:
     soft = can_rig.load_scenario("default", {"plant.mass_kg": 1400.0})
     made = can_rig.load_scenario("ideal", {"plant": soft.plant, "limits": soft.limits})
@@ -148,6 +186,8 @@ REFUSED: list[tuple[dict[Any, Any], str]] = [
     ({"plant": control.ss([[-1.0]], [[1.0]], [[1.0]], 0.0)}, "plant: a state space with B"),
     ({"plant.g1": SAMPLED["dlti"]}, "plant.g1: a system sampled already"),
     ({"plant.g1": object()}, "plant.g1 = <object"),
+    ({"controller.kind": Home()}, "controller.kind = <.*: must be a text, a class or a function"),
+    ({"controller.c": control.tf(NUM, DEN)}, "kind = 'ours'; kind = 'filters' has it"),
 ]  # fmt: skip
 
 

@@ -33,6 +33,7 @@ VARIABLES = {  # variables, parameters, line
      "input_2 = 'y': must be an input of the FMU, not an output;"),
     "no output but an input": ({"output": "u1"}, {},
      "output = 'u1': must be an output of the FMU, not an input"),
+    "no output but a parameter": ({"output": "gain"}, {}, "an output of the FMU, not a parameter$"),
     "one for both": ({"input_2": "u1"}, {}, "must be another variable than input_1; it has"),
     "parameter": ({"input_1": "gain"}, {}, r"not a parameter; it has u1, u2$"),
     "whole": ({"output": "bounces"}, {},
