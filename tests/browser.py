@@ -39,7 +39,11 @@ def page(browser: Browser) -> Iterator[Page]:
 
 
 def barriers(page: Page) -> list[str]:
-    """What keeps someone from using the page, as axe-core finds it."""
+    """What keeps someone from using the page in light or dark colours, as axe-core finds it."""
     from axe_playwright_python.sync_playwright import Axe
 
-    return [str(found["id"]) for found in Axe().run(page).response["violations"]]
+    found = []
+    for colours in ("light", "dark"):
+        page.emulate_media(color_scheme=colours)  # type: ignore[arg-type]
+        found += [f"{each['id']}, {colours}" for each in Axe().run(page).response["violations"]]
+    return found

@@ -233,10 +233,6 @@ def as_page(record: Record) -> str:
     )
 
 
-def _or_missing(of: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    return [(tool, "not installed" if said is None else said) for tool, said in of.items()]
-
-
 def _of(record: Record, part: str, shown: Callable[[Any], list[str]]) -> list[str]:
     """A part of the record, or which tools it lacks."""
     if record[part] is not None:

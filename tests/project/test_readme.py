@@ -9,7 +9,7 @@ import click
 from can_rig import errors
 from can_rig.cli.main import main
 from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY
-from tests.project.pages import ROOT, command_lines, table, text_of
+from tests.project.pages import command_lines, table, text_of
 
 README, COMMANDS = text_of("README.md"), text_of("docs/commands.md")
 
@@ -43,9 +43,3 @@ def test_the_files_of_a_run_folder_are_named() -> None:
     for page in (README, text_of("docs/results.md")):
         for name in (LOG, SIGNALS, SUMMARY, REPORT):
             assert f"`{name}`" in page
-
-
-def test_the_pictures_are_there() -> None:
-    pictures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", README)
-    assert pictures == ["docs/film.gif", "docs/run.png"]
-    assert all((ROOT / picture).is_file() for picture in pictures)

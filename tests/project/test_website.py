@@ -82,29 +82,31 @@ def test_the_numbers_of_the_gallery_are_those_of_a_run(site: Path, tmp_path: Pat
 def test_broken_links_and_anchors_fail_the_build(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in (*website.COPIED, "tools", "can_rig"):
-        if (ROOT / name).is_dir():
-            (shutil.copytree if name == "docs" else _linked)(ROOT / name, tmp_path / name)
+    for name in (*website.COPIED, "tools"):
+        if name == "docs":
+            shutil.copytree(ROOT / name, tmp_path / name)
         else:
-            shutil.copyfile(ROOT / name, tmp_path / name)
+            (tmp_path / name).symlink_to(ROOT / name)
     with (tmp_path / "docs" / "logs.md").open("a", encoding="utf-8") as page:
         page.write("\n[away](nowhere) [no](scenarios.md#no-heading)\n")
     monkeypatch.setattr(website, "ROOT", tmp_path)
     monkeypatch.setattr(website, "BUILD", tmp_path / "build")
-    monkeypatch.setattr(website, "write_gallery", _no_runs)
+    monkeypatch.setattr(
+        website, "write_gallery", lambda to, _: _empty_pages(to, "index", "pendulum")
+    )
+    monkeypatch.setattr(
+        website, "write_reference", lambda to: _empty_pages(to, "commands", "python")
+    )
     with pytest.raises(SystemExit) as broken:
         website.main(["pendulum"])
+    assert "Aborted with 2 warnings" in str(broken.value)
     assert "nowhere" in str(broken.value)
     assert "no-heading" in str(broken.value)
 
 
-def _linked(of: Path, to: Path) -> None:
-    to.symlink_to(of)
-
-
-def _no_runs(folder: Path, chosen: dict[str, Path]) -> None:
+def _empty_pages(folder: Path, *names: str) -> None:
     folder.mkdir()
-    for name in ("index", *chosen):
+    for name in names:
         (folder / f"{name}.md").write_text(f"# {name}\n", "utf-8")
 
 

@@ -44,17 +44,6 @@ def test_what_cannot_be_built_is_not_stable() -> None:
     assert not is_stable_in(steep, Target(1e-3), CAR, [HEALTHY])
 
 
-@pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
-def test_gain_margins_are_on_the_edge_and_where_l_is_real(left: tuple[float, float]) -> None:
-    loop = loop_of(SLOW, Target(1e-3, 2, "zoh"), left)
-    reduction, gain = gain_margins(loop)
-    assert loop.spectral_radius(gain * 0.999) < 1.0 < loop.spectral_radius(gain * 1.001)
-    poles = loop.poles(gain)
-    edge = poles[np.argmax(np.abs(poles))]
-    assert loop.loop_gain(np.array([edge]))[0] * gain == pytest.approx(-1.0, abs=1e-3)
-    assert reduction == 0.0
-
-
 def test_a_loop_that_needs_its_gain_has_a_lower_margin_too() -> None:
     """x⁺ = 1.2 x - 0.5 g y is stable for 0.4 < g < 4.4."""
     loop = scalar_loop(1.2, -0.5)
@@ -68,7 +57,8 @@ def test_gain_margins_are_where_the_dense_eigenvalues_cross(
 ) -> None:
     """By bisection of the largest eigenvalue of the whole matrix, of which nothing is lumped."""
     loop = loop_of(SLOW, Target(1e-3, 4, "zoh"), left, late)
-    _, gain = gain_margins(loop)
+    reduction, gain = gain_margins(loop)
+    assert reduction == 0.0
 
     def excess(factor: float) -> float:
         return float(np.abs(np.linalg.eigvals(loop.closed(factor))).max()) - 1.0

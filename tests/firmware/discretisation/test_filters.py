@@ -81,13 +81,6 @@ def test_response_and_figures_are_scipys() -> None:
     assert made.is_stable
 
 
-def test_prewarp_keeps_its_frequency() -> None:
-    made = discretise(LOW_PASS, 0.005, prewarp_rad_per_s=100.0)
-    assert abs(made.frequency_response(100.0)) == pytest.approx(math.sqrt(0.5), rel=1e-12)
-    plain = discretise(LOW_PASS, 0.005)
-    assert abs(plain.frequency_response(100.0)) < 0.999 * math.sqrt(0.5)
-
-
 @pytest.mark.parametrize(
     ("system", "dc_gain", "order", "stable"),
     [

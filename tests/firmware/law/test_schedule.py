@@ -208,23 +208,6 @@ def test_the_first_ticks_of_a_drive_show_no_fault():
     assert healthy_estimate(OF, 12) < 1e-4
 
 
-def test_every_other_car_is_blended_and_turned():
-    of = scheduled(SPEEDS[:2], cars=4)
-    at, cars = Blended(of), ("model", "car_1", "car_2", "car_3", "car_4")
-    for each in cars:
-        for channel in (1, 2):
-            at.state.other_cars[each][f"channel_{channel}"].accumulators[:3] = 1.0
-    before = of.table.other_cars
-    at.to(SPEEDS[1])
-    for each in cars:
-        for channel in (1, 2):
-            moved = at.state.other_cars[each][f"channel_{channel}"].accumulators[:2]
-            assert (moved != 1.0).all()
-            if each != "model":
-                own = at.table.other_cars[each][f"channel_{channel}"].coefficients
-                assert not np.array_equal(own, before[each][f"channel_{channel}"].coefficients)
-
-
 def test_single_precision_stays_single_and_is_as_near_as_it_can_be():
     single = scheduled(target=replace(TARGET, precision="float32"), cars=1)
     ours, exact = Blended(single), Blended(OF)

@@ -33,7 +33,7 @@ from can_rig.errors import RigError, RunFolderError, ScenarioError, WorkersLostE
 from can_rig.results.metrics import Metrics, metrics_of
 from can_rig.scenario.settings import Scenario
 from tests.helpers import asked
-from tests.rig.campaigns.running import SHORT, WhoComputes, in_two_processes, planned, ran, rows
+from tests.rig.campaigns.running import SHORT, in_two_processes, planned, ran, rows
 
 FAR_CLUSTER = """
 import sys
@@ -125,11 +125,8 @@ def test_a_truth_that_a_run_lacks_is_unknown_to_pandas(tmp_path: Path) -> None:
     assert 0 < table["missed_detection"].isna().sum() < 8
 
 
-@pytest.mark.parametrize("who", [serially, in_two_processes])
-def test_the_file_does_not_depend_on_workers_or_interruptions(
-    who: WhoComputes, done: CampaignFolder, tmp_path: Path
-) -> None:
-    again = ran(tmp_path / "again", planned(), who, stops=1)
+def test_the_file_does_not_depend_on_interruptions(done: CampaignFolder, tmp_path: Path) -> None:
+    again = ran(tmp_path / "again", planned(), serially, stops=1)
     assert again.table.read_bytes() == done.table.read_bytes()
 
 

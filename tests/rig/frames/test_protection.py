@@ -174,12 +174,6 @@ def test_every_short_sequence_against_the_reference_model():
             assert status.name == expected, sequence
 
 
-def test_after_a_wrong_sequence_one_frame_confirms():
-    checker = Checker(DATA_ID)
-    sequence = [checker.check(frame(counter)) for counter in (0, 1, 9, 10, 11)]
-    assert [status.name for status in sequence] == ["INITIAL", "OK", "WRONG_SEQUENCE", "SYNC", "OK"]
-
-
 @pytest.mark.parametrize("data_id", [-1, 0x10000])
 def test_data_id_out_of_range_is_refused(data_id):
     with pytest.raises(ValueError, match=r"must be 0\.\.65535"):

@@ -100,12 +100,10 @@ WIDER = "document.documentElement.scrollWidth - innerWidth"
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("colours", ["light", "dark"])
-def test_each_state_is_said_and_what_has_no_effect_is_disabled(page, colours):
+def test_each_state_is_said_and_what_has_no_effect_is_disabled(page):
     process, (touch, _look) = panel(
         "pendulum", "--set", "fault.kind=none", "--set", "duration_s=60"
     )
-    page.emulate_media(color_scheme=colours)
     page.goto(touch)
 
     def state(name: str, says: str) -> None:

@@ -89,12 +89,8 @@ def test_an_existing_page_stays(folder):
 
 
 @pytest.mark.timeout(120)
-@pytest.mark.parametrize("colours", ["light", "dark"])
-def test_in_a_browser_charts_are_added_and_zoom_together_and_an_event_is_found(
-    page, folder, colours
-):
+def test_in_a_browser_charts_are_added_and_zoom_together_and_an_event_is_found(page, folder):
     asked("view", folder / "run", "--out", folder / "page.html", "--force")
-    page.emulate_media(color_scheme=colours)
     page.goto((folder / "page.html").as_uri())
     page.wait_for_selector("body[data-drawn]")
     before = page.locator(".chart").count()
