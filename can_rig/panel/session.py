@@ -21,9 +21,6 @@ from can_rig.plant.faults.injection import require_possible
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
-ENDS_WITHIN_S: Final = 60.0
-"""A run that is stopped completes its folder."""
-
 ENDED_WELL: Final = (0, INTERRUPTED)
 """Exit statuses of a run that ended by itself or was stopped."""
 
@@ -204,15 +201,11 @@ class Session:
         self._noted = True
 
     async def stop(self) -> None:
-        """End the run and complete the run folder."""
+        """End the run, and wait for the whole run folder: after an hour that takes minutes."""
         if not self.running or self._process is None:
             return
         self._process.send_signal(signal.SIGTERM)  # SIGINT is ignored under a shell's &
-        try:
-            await asyncio.wait_for(self._process.wait(), ENDS_WITHIN_S)
-        except TimeoutError:
-            with suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.SIGKILL)
+        await self._process.wait()
 
     def command(self, command: operator_frames.Command) -> None:
         """Send ``command`` to the plant node.

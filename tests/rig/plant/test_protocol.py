@@ -157,7 +157,7 @@ def test_no_such_module():
     assert "no module mycars.small," in refusal("mycars.small:Car")
 
 
-NO_CLASS = ("boat", "a:", ":B", "a:b:c", "a b:C", "a..b:C", "a/b.py:C", "a:B.C")
+NO_CLASS = ("boat", "a:", ":B", "a:b:c", "a b:C", "a..b:C", "a/.py:C", "a:B.C")
 
 
 @pytest.mark.parametrize("kind", NO_CLASS)
