@@ -215,7 +215,9 @@ def of_sensor(table: Table, state: layout.State, excused: bool) -> float:
 @firmware
 def is_excused(table: Table, state: layout.State) -> bool:
     """Whether the witness denies a bias or drift of the sensor: neither wind nor road jumps."""
-    jumps = state.hypotheses.signatures.jump >= table.hypotheses.jump
+    own = state.hypotheses.signatures
+    since = state.witness.unbroken
+    jumps = own.jump >= table.hypotheses.jump and since < own.sensor_biased.candidate.age
     excused: bool = not jumps and sensor_waits(table, state)
     return excused
 

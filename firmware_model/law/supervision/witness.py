@@ -78,6 +78,7 @@ class State(Struct):
     healthy_off: Annotated[float, "y²", "fading Σ (z - p)², p without any known loss"]
     age: Annotated[float, "tick", "since the last sample"]
     left: Annotated[int, "tick", "for so long the last sample counts; 0: no witness"]
+    unbroken: Annotated[float, "tick", "since y - p jumped within a tick"]
     good: Annotated[int, "1", "samples in agreement, one after another"]
     denied: Annotated[int, "1", "1: the sensor is wrong"]
 
@@ -100,6 +101,10 @@ def weigh_witness(table: Table, own: State, y: float, expected: float, healthy: 
         expected: y by the model with the known loss.
         healthy: y by the model without any known loss.
     """
+    before = (own.index + KEPT_TICKS - 1) % KEPT_TICKS
+    jump = y - healthy - (own.measured[before] - own.healthy[before])
+    if jump * jump > table.witness.noise:
+        own.unbroken = real(0.0, jump)
     own.measured[own.index], own.expected[own.index] = y, expected
     own.healthy[own.index] = healthy
     if not has_news(own):
@@ -203,24 +208,12 @@ def agrees_with_sensor(constants: Constants, own: State) -> bool:
 
 @firmware
 def acquits(constants: Constants, own: State) -> bool:
-    """Whether the witness says of d̂ that the sensor is right."""
+    """Whether the witness says of d̂ that the sensor is right, since the last jump of y."""
     limit = unsure(constants, own)
     off = own.left > 0 and own.witness_off > limit
-    agrees = agrees_with_sensor(constants, own) and not has_jumped(constants, own)
+    agrees = agrees_with_sensor(constants, own) and not own.age > own.unbroken
     acquitted: bool = off and agrees and constants.nearer * own.apart < own.sensor_off
     return acquitted
-
-
-@firmware
-def has_jumped(constants: Constants, own: State) -> bool:
-    """Whether y has left p since the last sample, which then says nothing of the sensor now."""
-    jump = real(0.0, own.age)
-    if own.age >= jump and own.age < real(KEPT_TICKS, jump):
-        at = (own.index + KEPT_TICKS - int(own.age)) % KEPT_TICKS
-        jump = own.measured[own.index] - own.healthy[own.index]
-        jump -= own.measured[at] - own.healthy[at]
-    jumped: bool = jump * jump > unsure(constants, own)
-    return jumped
 
 
 @firmware
@@ -250,6 +243,7 @@ def advance_witness(table: Table, own: State) -> None:
     own.yaw_rate.age += one
     own.acceleration.age += one
     own.age += one
+    own.unbroken += one
     if own.left > 0:
         own.left -= 1
     if own.left == 0:
@@ -271,5 +265,5 @@ def settle_witness(own: State, output: float) -> None:
     own.expected[:] = output
     own.healthy[:] = output
     own.yaw_rate.fresh = own.acceleration.fresh = own.left = own.denied = 0
-    own.difference = own.healthy_difference = own.age = 0.0
+    own.difference = own.healthy_difference = own.age = own.unbroken = 0.0
     forget_samples(own)
