@@ -318,9 +318,8 @@ def written(name: str) -> Written:
             file = given.removeprefix(prefix)
             table[key] = prefix + (str(path.parent / file) if file else "")
     for table in map(values.get, CLASSES):
-        given = table.get("kind") if isinstance(table, dict) else None
-        if isinstance(table, dict) and isinstance(given, str) and is_class_path(given):
-            table["kind"] = seen_from(path.parent, given)
+        if isinstance(table, dict) and is_class_path(kind := str(table.get("kind"))):
+            table["kind"] = seen_from(path.parent, kind)
     return Written(name, path.stem, values)
 
 
