@@ -199,6 +199,9 @@ REFUSED = {
     "if state.of_table < 4 and x > 0.0:\n        y = x\n    else:\n"
     "        y = state.list[state.of_table]": "index 4 is possible",
     "if state.n > 0:\n        change(state)\n        y = state.list[state.n - 1]": "index -1 is",
+    "if state.of_table <= 4:\n        y = state.list[state.of_table]": "index 4 is possible",
+    "for i in range(-1, 4):\n        y = state.list[min(i * i, 3)]": "index -3 is possible",
+    "y = state.list[state.of_table % -3]": "any index seems possible",
     "state.of_table = 5": "can be beyond its declared range: must be from 0 to 4",
     "y = state.list[int(x)]": "int(x): any number seems possible: must be compared with limits",
     "if not x < 0.0 and not x > 3.0:\n        y = state.list[int(x)]": "any number seems possible",
@@ -257,6 +260,7 @@ def test_signatures_that_c_has_not_are_refused(
         "n = state.of_table\n    for i in range(n):\n        state.list[i] = x",
         "n = state.of_table - 1\n    for i in range(n, -1, -1):\n        state.list[i] = x",
         "k = 0\n    for _ in range(3):\n        k = (k + 1) % 4\n        state.list[k] = x",
+        "state.n = min(state.n + 1, 3)\n    y = state.list[state.n]",
         "k = 0\n    k += 3\n    state.list[k] = x", "y = state.list[max(0, min(state.n, 3))]",
         "for i in range(2):\n        for j in range(2):\n            state.list[2 * i + j] = x",
         "change(state)\n    y = state.list[state.n + 1]",
