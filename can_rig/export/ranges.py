@@ -162,7 +162,7 @@ class _Pass:
     # --- statements ------------------------------------------------------------------------------
 
     def _block(self, body: list[ast.stmt], ranges: Ranges | None) -> Ranges | None:
-        """The ranges after ``body``; None where nothing goes on after it."""
+        """The ranges after ``body``; None where ``body`` never ends."""
         for node in body:
             if ranges is None:
                 break

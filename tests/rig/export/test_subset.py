@@ -201,7 +201,7 @@ REFUSED = {
     "if state.n > 0:\n        change(state)\n        y = state.list[state.n - 1]": "index -1 is",
     "if state.of_table <= 4:\n        y = state.list[state.of_table]": "index 4 is possible",
     "for i in range(-1, 4):\n        y = state.list[min(i * i, 3)]": "index -3 is possible",
-    "y = state.list[state.of_table % -3]": "any index seems possible",
+    "y = state.list[state.of_table % -3]": "state.of_table % -3 can be any number",
     "state.of_table = 5": "can be beyond its declared range: must be from 0 to 4",
     "y = state.list[int(x)]": "int(x): any number seems possible: must be compared with limits",
     "if not x < 0.0 and not x > 3.0:\n        y = state.list[int(x)]": "any number seems possible",
