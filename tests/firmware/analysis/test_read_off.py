@@ -40,4 +40,11 @@ def test_a_controller_that_never_answers_has_no_state() -> None:
 
 def test_a_limit_is_no_linear_controller() -> None:
     with pytest.raises(NotLinearError, match="not linear: off by"):
-        read_off(lambda inputs: np.clip(linear(inputs), -2e-4, 2e-4), 0)
+        read_off(lambda inputs: np.clip(linear(inputs), -2e-6, 2e-6), 0)
+
+
+def test_answers_that_no_matrices_explain_are_off_by_more_than_all_of_it() -> None:
+    """Powers of an unstable matrix have dozens of digits, which say nothing."""
+    noise = np.random.default_rng(0).standard_normal((4000, 3))
+    with pytest.raises(NotLinearError, match=r"off by more than 100%$"):
+        read_off(lambda inputs: noise[: len(inputs)] * inputs[0].sum(), 0)
