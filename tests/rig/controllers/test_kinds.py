@@ -446,7 +446,8 @@ def test_a_controller_that_computes_with_its_limits_has_margins(own: Path) -> No
         "class Shares:\n    def __init__(self, setup): self.limits = setup.limits\n"
         "    def reset(self, reference): pass\n"
         "    def step(self, inputs):\n        one, two = self.limits\n"
-        "        return one * (8000.0 / one * (inputs.reference - inputs.measurement)) / 400.0, 0.0\n"
+        "        error = inputs.reference - inputs.measurement\n"
+        "        return one * (20.0 / one * error), 0.0\n"
     )
     (own / "plain.py").write_text(
         "def plain(inputs): return 20.0 * (inputs.reference - inputs.measurement), 0.0\n"
