@@ -440,6 +440,23 @@ def test_a_controller_that_is_not_linear_has_no_margins(own: Path) -> None:
     refuse(of("relay:Relay"))  # runs all the same
 
 
+def test_a_controller_that_computes_with_its_limits_has_margins(own: Path) -> None:
+    """Commands as shares of their limits, as of an MPC: check and run tell the same limits."""
+    (own / "shares.py").write_text(
+        "class Shares:\n    def __init__(self, setup): self.limits = setup.limits\n"
+        "    def reset(self, reference): pass\n"
+        "    def step(self, inputs):\n        one, two = self.limits\n"
+        "        error = inputs.reference - inputs.measurement\n"
+        "        return one * (20.0 / one * error), 0.0\n"
+    )
+    (own / "plain.py").write_text(
+        "def plain(inputs): return 20.0 * (inputs.reference - inputs.measurement), 0.0\n"
+    )
+    found, expected = (check_stability(of(kind)) for kind in ("shares:Shares", "plain:plain"))
+    assert found.healthy.spectral_radius == pytest.approx(expected.healthy.spectral_radius)
+    assert [str(each) for each in found.findings] == [str(each) for each in expected.findings]
+
+
 def test_the_steps_of_a_sensor_are_not_too_coarse_for_a_loop_that_a_loss_opens() -> None:
     """Noise walks an open integrator away without end, whatever the step of the frame."""
     margins = check_stability(of("pi"))
