@@ -286,6 +286,21 @@ def test_a_parameter_that_the_controller_never_reads_is_refused(
     assert str(caught.value) == line
 
 
+def test_a_controller_that_ends_its_run_is_not_run_again(own: Path, tmp_path: Path) -> None:
+    """Not for the run without the fault either, which it might hang or crash; the folder is whole."""
+    (own / "ends.py").write_text(
+        "class Ends:\n    steps = 0\n    def __init__(self, setup): pass\n"
+        "    def reset(self, reference): pass\n    def step(self, inputs):\n"
+        "        Ends.steps += 1\n        assert Ends.steps < 400\n        return 0.0, 0.0\n"
+    )
+    done = execute(of("ends:Ends"), tmp_path / "run", StopRequest(), Options(report=False))
+    assert done is not None
+    assert "step failed at 0.399 s: AssertionError" in str(done.failure)
+    assert sys.modules["ends"].Ends.steps == 400
+    assert done.metrics["deviation_peak_after_fault_mps2"] is None
+    assert can_rig.load(tmp_path / "run").signals.index[-1] == pytest.approx(0.399, abs=2e-3)
+
+
 def test_limits_and_missing_inputs_are_the_nodes(own: Path) -> None:
     (own / "much.py").write_text(
         "class Much:\n    held = 0\n    def __init__(self, setup): pass\n"
