@@ -93,7 +93,9 @@ class Drives:
 
     @cached_property
     def _goal(self) -> FloatArray:
-        free = replace(self._scenario, plant=self.scenario.model, limits=LimitSettings())
+        free = replace(self._scenario, plant=self.scenario.model)
+        if not free.controller.is_class:  # a class may compute with its limits
+            free = replace(free, limits=LimitSettings())
         return frameless(free.noise_free, self._network).measurement
 
     @cached_property

@@ -489,9 +489,11 @@ class CFunction:
         assert isinstance(node.iter, ast.Call)
         assert isinstance(node.target, ast.Name)
         remark = self._take_comment(node.iter)
-        start, stop = ["0", *map(self._text, node.iter.args)][-2:]
+        ends = [self._text(each) for each in node.iter.args]
+        start, stop = ["0", *ends][-2:] if len(ends) < 3 else ends[:2]
+        ends_at, step = ("<", "++") if len(ends) < 3 else (">", "--")
         i = self._free("i") if node.target.id == "_" else name(node.target.id)
-        self._line(f"for (int32_t {i} = {start}; {i} < {stop}; {i}++) {{", remark)
+        self._line(f"for (int32_t {i} = {start}; {i} {ends_at} {stop}; {i}{step}) {{", remark)
         self._block(node.body)
         self._line("}")
 
@@ -742,8 +744,7 @@ class _CFiles:
     def __init__(
         self, program: Program, structs: list[CStruct], entries: set[str], precision: Precision
     ) -> None:
-        for typed in program.functions.values():
-            check_ranges(typed)
+        check_ranges(program, entries)
         self._program = program
         self._precision: Precision = precision
         self._effects = Effects(program)

@@ -257,7 +257,9 @@ class Typed:
         self.types[target] = kind
 
     def _loop(self, node: ast.For) -> None:
-        """A loop over range(stop) or range(start, stop), whose counter has no other use.
+        """A loop over range(stop), range(start, stop) or range(start, stop, -1).
+
+        Its counter has no other use.
 
         C ends the counter with the loop.
         """
@@ -266,11 +268,11 @@ class Typed:
                 target=ast.Name() as target,
                 iter=ast.Call(func=ast.Name(id="range"), args=ends, keywords=[]),
                 orelse=[],
-            ) if 1 <= len(ends) <= 2:
+            ) if 1 <= len(ends) <= 2 or (len(ends) == 3 and self._literal(ends[2]) == -1):
                 for end in ends:
                     self._require(end, INT)
             case _:
-                what = "must be for i in range(stop) or range(start, stop)"
+                what = "must be for i in range(stop), range(start, stop) or range(start, stop, -1)"
                 raise self._refuse(node, f"{{}} {what}")
         taken = target.id in self.names and target.id not in self._counters
         if taken or (target.id in self._loops and target.id != "_"):

@@ -31,7 +31,7 @@ from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.fault_settings import PLACES, RESTARTED
 from can_rig.scenario.reference import reference
 from can_rig.scenario.remembered import remembered, state_of_file
-from can_rig.scenario.settings import LimitSettings, Scenario
+from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED
 from firmware_model.analysis.read_off import NotLinearError, read_off
 from firmware_model.analysis.sampled_loop import LinearController
@@ -306,10 +306,9 @@ def linear_law_of(scenario: Scenario) -> LinearController:
     Raises:
         ScenarioError: a controller that is not linear around rest.
     """
-    free = replace(scenario, limits=LimitSettings())
 
     def respond(inputs: FloatArray) -> FloatArray:
-        peer = peer_of(free)
+        peer = peer_of(scenario)
         answers = (peer.step(ControllerInputs(r, y)) for y, r in inputs.tolist())
         return np.array([(*answer[:2], answer.fault_estimate or 0.0) for answer in answers])
 

@@ -19,7 +19,7 @@ from firmware_model.analysis.sampled_loop import LinearController
 from firmware_model.errors import DesignError
 from firmware_model.law.structs import FloatArray
 
-SIZE: Final = 1e-3
+SIZE: Final = 1e-5
 """Of an impulse, m/s²: within every limit and boundary layer."""
 LAST: Final = 1500
 """The longest t and s, in ticks."""
@@ -73,11 +73,13 @@ def _require_agreement(law: LinearController, respond: Respond, ticks: int) -> N
     inputs[: ticks // 2] = 0.3 * SIZE * random.standard_normal((ticks // 2, 2))
     answers, x = respond(inputs), np.zeros(len(law.a))
     expected = np.empty_like(answers)
-    for k, w in enumerate(inputs):
-        expected[k] = law.c @ x + law.d @ w
-        x = law.a @ x + law.b @ w
+    with np.errstate(over="ignore", invalid="ignore"):  # matrices that explain nothing may explode
+        for k, w in enumerate(inputs):
+            expected[k] = law.c @ x + law.d @ w
+            x = law.a @ x + law.b @ w
     largest = np.abs(answers).max(axis=0)
     off = np.abs(answers - expected).max(axis=0)
-    if not (off <= AGREES * largest + 1e-12).all():
+    if not (off <= AGREES * largest + 1e-9 * SIZE).all():
         worst = float(np.max(off / np.where(largest > 0.0, largest, 1.0)))
-        raise NotLinearError(f"its answers around rest are not linear: off by {worst:.1%}")
+        by = f"{worst:.1%}" if worst <= 1.0 else "more than 100%"
+        raise NotLinearError(f"its answers around rest are not linear: off by {by}")

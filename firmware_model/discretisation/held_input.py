@@ -134,6 +134,7 @@ def _balanced(a: FloatArray, b: FloatArray, c: FloatArray) -> StateSpace:
     many digits.
     """
     whole = np.block([[a, b], [c, np.zeros((1, 1))]])
-    _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
+    with np.errstate(invalid="ignore"):  # scipy also reads scales as integers: 2^63 is none
+        _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
     states = scale[:-1] / scale[-1]
     return a * states / states[:, None], b / states[:, None], c * states

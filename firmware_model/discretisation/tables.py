@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from firmware_model.errors import DesignError, ParameterError
 from firmware_model.law.core import biquad
 from firmware_model.law.core.estimator import Constants as EstimatorConstants
 from firmware_model.law.layout import Table, table_type
-from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SECTIONS
+from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, ranges_of
 from firmware_model.law.supervision import whitener
 from firmware_model.law.supervision.covariance import LOSS_STATES, MAX_DIRECTIONS
 from firmware_model.law.supervision.echoes import Constants as EchoesConstants
@@ -238,7 +239,7 @@ def build(design: ContinuousDesign, target: Target) -> Table:
 
     Raises:
         DesignError: a refusal of ``discretise``, or an algebraic loop gain of 1 or more, because
-            saturation then has no unique answer.
+            saturation then has no unique answer, or more ticks than the law counts.
     """
     filters = discretise(design, target)
     dead = dead_ticks(design, target)
@@ -276,6 +277,11 @@ def build(design: ContinuousDesign, target: Target) -> Table:
     fill_monitor(table.monitor, design.plant, target)
     table.safe_stop.duration = math.ceil(target.safe_stop_s / target.tick_s)
     table.safe_stop.certain = math.ceil(POWERLESS_S / target.tick_s)
+    for path, (least, largest) in ranges_of(Table).items():
+        value = reduce(getattr, path, table)
+        if not least <= value <= largest:
+            what = f"{'.'.join(path)} is {value}: must be from {least} to {largest}"
+            raise DesignError(f"table of the controller: {what}")
     tables.flags.writeable = False
     made: Table = tables[0]
     return made

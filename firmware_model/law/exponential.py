@@ -25,7 +25,7 @@ def exp_minus(x: float) -> float:
     one = real(1.0, x)
     if not x < real(LARGEST, x):
         return real(0.0, x)
-    n = np.rint(x / real(LN2, x))
+    n = np.rint(max(real(0.0, x), x) / real(LN2, x))
     r = (x - n * real(LN2_FIRST, x)) - n * real(LN2_REST, x)
     series, left = one, real(TERMS, x)
     for _ in range(TERMS):

@@ -88,7 +88,7 @@ from firmware_model.law.supervision.witness import State as WitnessState
 class Table(Struct):
     """The constant table."""
 
-    supervised: Annotated[int, "1", "0: the thesis's law alone"]
+    supervised: Annotated[int, "1", "0: the thesis's law alone", (0, 1)]
     reference_shaper: Annotated[ReferenceShaperConstants, "1", "limits r̈"]
     tracking: Annotated[TrackingConstants, "1", "C"]
     estimator: Annotated[EstimatorConstants, "1", "F1 and 1 + Q"]

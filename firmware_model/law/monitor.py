@@ -37,7 +37,7 @@ COMPENSATION_OFF, SWINGING, ASTRAY, BAD_COMMAND = 10, 11, 12, 13
 class Constants(Struct):
     """Constants."""
 
-    enabled: Annotated[int, "1", "0: the monitor takes nothing away"]
+    enabled: Annotated[int, "1", "0: the monitor takes nothing away", (0, 1)]
     limit_1: Annotated[float, "u1", "largest magnitude of a command 1"]
     limit_2: Annotated[float, "u2", "largest magnitude of a command 2"]
     slew_1: Annotated[float, "u1/tick", "largest change of command 1 in a tick"]

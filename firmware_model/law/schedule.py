@@ -47,7 +47,7 @@ BAND = 0.95  # a car at the lowest speed does not alternate between standby and 
 class Constants(Struct):
     """Constants."""
 
-    n: Annotated[int, "1", "number of speeds"]
+    n: Annotated[int, "1", "number of speeds", (1, MAX_SPEEDS)]
     speed: Annotated[FloatArray, "m/s", "of each design, ascending", EACH]
     tracking: Annotated[FloatArray, "u1/y", "Q at each", FILTER]
     tracking_inverse: Annotated[FloatArray, "1", "loop_inverse of C at each", EACH]
@@ -148,7 +148,7 @@ def place_of(schedule: Constants, speed: float) -> float:
     for i in range(schedule.n - 1):
         low, high = schedule.speed[i], schedule.speed[i + 1]
         if speed > low:  # 1/V goes from 1/low to 1/high
-            share = min((speed - low) / (high - low) * (high / speed), one)
+            share = max(zero, min(one, (speed - low) / (high - low) * (high / speed)))
             place = real(i, speed) + share
     return place
 
@@ -160,7 +160,7 @@ def move(schedule: Constants, own: State, table: Table, state: layout.State, pla
     for k in range(schedule.n - 1):
         i = k
         if place < own.place:
-            i = last - k
+            i = max(last - k, 0)
         low = real(i, place)
         high = low + real(1.0, place)
         end = min(max(place, low), high)
@@ -265,7 +265,7 @@ def between(values: FloatArray, at: int, share: float) -> float:
     """The value on the line from the ``at``-th of ``values`` to the next."""
     value: float = values[at]
     if share != 0.0:
-        value += share * (values[at + 1] - values[at])
+        value += share * (values[min(at + 1, MAX_SPEEDS - 1)] - value)
     return value
 
 
@@ -277,7 +277,7 @@ def blend_filter(designs: FloatArray, cascade: biquad.Constants, at: int, share:
         for j in range(5):
             value = designs[at, 5 * i + j]
             if share != 0.0:
-                value += share * (designs[at + 1, 5 * i + j] - value)
+                value += share * (designs[min(at + 1, MAX_SPEEDS - 1), 5 * i + j] - value)
             cascade.coefficients[i, j] = value
 
 
@@ -290,5 +290,5 @@ def blend_gain(
         for j in range(2):
             value = designs[at, 2 * i + j]
             if share != 0.0:
-                value += share * (designs[at + 1, 2 * i + j] - value)
+                value += share * (designs[min(at + 1, MAX_SPEEDS - 1), 2 * i + j] - value)
             shortfall.gain[i, j] = value

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 MAX_SECTIONS = 8  # of each filter: order 16
 MAX_LATENCY_TICKS = 64
+MAX_COUNTED = 1_000_000  # ticks, samples
 MAX_SHOWN_TICKS = 2 * MAX_LATENCY_TICKS  # of the bus, and of a dead time
 
 Precision = Literal["float64", "float32"]
@@ -41,7 +42,9 @@ class Struct:
 
     A field is ``name: Annotated[type, unit, meaning]`` with the type ``float`` for a real number in
     the precision of the table, ``int`` for a 32-bit integer, or another declaration; an array of
-    real numbers is ``Annotated[FloatArray, unit, meaning, shape]``. No instance is ever made: a
+    real numbers is ``Annotated[FloatArray, unit, meaning, shape]``. An integer of a table is
+    ``Annotated[int, unit, meaning, (least, largest)]``, from which the translator to C proves the
+    indices. No instance is ever made: a
     record of ``record_type`` has these fields, and the class is its type for a type checker.
     """
 
@@ -82,6 +85,7 @@ class Field:
         meaning: what it stands for.
         kind: a real number in the precision of the table, a 32-bit integer, or a struct.
         shape: () for one value, else an array's.
+        range: the least and the largest value of an integer; None: as assigned.
     """
 
     name: str
@@ -89,6 +93,7 @@ class Field:
     meaning: str
     kind: Literal["real", "int32"] | type[Struct] = "real"
     shape: tuple[int, ...] = ()
+    range: tuple[int, int] | None = None
 
 
 @_cached
@@ -112,6 +117,8 @@ def _field(struct: type[Struct], name: str, hint: Any) -> Field:
             return Field(name, unit, meaning, kind)
         case kind, (str(unit), str(meaning)) if kind in (float, int):
             return Field(name, unit, meaning, kinds[kind])
+        case kind, (str(unit), str(meaning), (int(least), int(largest))) if kind is int:
+            return Field(name, unit, meaning, "int32", range=(least, largest))
         case kind, (str(unit), str(meaning), tuple(shape)) if kind == FloatArray:
             return Field(name, unit, meaning, kinds[kind], shape)
     raise TypeError(
@@ -152,6 +159,19 @@ def leaves(
                 yield (field.name, *path), inner, numbers
         else:
             yield (field.name,), at + offset, kind
+
+
+@_cached
+def ranges_of(struct: type[Struct]) -> dict[tuple[str, ...], tuple[int, int]]:
+    """The declared range of each integer, nested ones too, by path."""
+    found = {}
+    for field in fields_of(struct):
+        if isinstance(field.kind, type):
+            inner = ranges_of(field.kind).items()
+            found.update({(field.name, *path): each for path, each in inner})
+        elif field.range is not None:
+            found[field.name,] = field.range
+    return found
 
 
 def values(struct: type[Struct], record: Any) -> bytes:

@@ -24,7 +24,7 @@ class Constants(Struct):
     coefficients: Annotated[
         FloatArray, "output/input", "β0, β1, β2, α1, α2, a row a section", (MAX_SECTIONS, 5)
     ]
-    n: Annotated[int, "1", "number of sections in use"]
+    n: Annotated[int, "1", "number of sections in use", (0, MAX_SECTIONS)]
 
 
 class State(Struct):

@@ -16,7 +16,7 @@ from firmware_model.compiled import firmware
 from firmware_model.law.core import biquad
 from firmware_model.law.core.biquad import advance, output, settle
 from firmware_model.law.precision import real
-from firmware_model.law.structs import MAX_LATENCY_TICKS, FloatArray, Struct
+from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SHOWN_TICKS, FloatArray, Struct
 
 RING = (MAX_LATENCY_TICKS,)
 
@@ -32,11 +32,21 @@ class Constants(Struct):
         float, "y/u2", "of G2 to the same tick; 0 with any latency or dead time"
     ]
     one_plus_q_feedthrough: Annotated[float, "1", "of 1 + Q to the same tick"]
-    latency_ticks: Annotated[int, "tick", "from a sample until its command is at its actuator"]
-    dead_ticks_1: Annotated[int, "tick", "dead time of channel 1, from there until G1"]
-    dead_ticks_2: Annotated[int, "tick", "dead time of channel 2, from there until G2"]
-    shown_ticks_1: Annotated[int, "tick", "from a sample until its command 1 is at G1"]
-    shown_ticks_2: Annotated[int, "tick", "from a sample until its command 2 is at G2"]
+    latency_ticks: Annotated[
+        int, "tick", "from a sample until its command is at its actuator", (0, MAX_LATENCY_TICKS)
+    ]
+    dead_ticks_1: Annotated[
+        int, "tick", "dead time of channel 1, from there until G1", (0, MAX_LATENCY_TICKS)
+    ]
+    dead_ticks_2: Annotated[
+        int, "tick", "dead time of channel 2, from there until G2", (0, MAX_LATENCY_TICKS)
+    ]
+    shown_ticks_1: Annotated[
+        int, "tick", "from a sample until its command 1 is at G1", (0, MAX_SHOWN_TICKS)
+    ]
+    shown_ticks_2: Annotated[
+        int, "tick", "from a sample until its command 2 is at G2", (0, MAX_SHOWN_TICKS)
+    ]
 
 
 class State(Struct):
@@ -161,7 +171,7 @@ def clear_estimator(state: State) -> None:
 @firmware
 def pending_command(constants: Constants, state: State, i: int) -> float:
     """The ``i``-th of the ``shown_ticks_1`` commands 1 on their way to G1, the next one first."""
-    dead, latency = constants.dead_ticks_1, constants.latency_ticks
+    dead, latency = constants.dead_ticks_1, max(constants.latency_ticks, 1)
     if i < dead:
         command: float = state.dead_1[(state.dead_index_1 + i) % dead]
     else:

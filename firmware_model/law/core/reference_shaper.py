@@ -31,7 +31,9 @@ if TYPE_CHECKING:
 class Constants(Struct):
     """Constants."""
 
-    enabled: Annotated[int, "1", "1: C follows the shaped reference; 0: the reference itself"]
+    enabled: Annotated[
+        int, "1", "1: C follows the shaped reference; 0: the reference itself", (0, 1)
+    ]
     acceleration: Annotated[
         float, "y/tick²", "largest second difference of the shaped reference, R T²"
     ]

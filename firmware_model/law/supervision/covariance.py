@@ -51,14 +51,12 @@ def measure(state: State, n: int, x: FloatArray, noise: float, gain: FloatArray)
     """
     first, lower, variances, projected = state.first, state.lower, state.variances, state.projected
     variance = noise
-    for k in range(n - first):
-        j = n - 1 - k
+    for j in range(n - 1, first - 1, -1):
         projection = x[j]
         for i in range(j + 1, n):
             projection += lower[i, j] * x[i]
         projected[j] = projection
-    for k in range(n - first):
-        j = n - 1 - k
+    for j in range(n - 1, first - 1, -1):
         before = variance
         seen = variances[j] * projected[j]
         variance = before + projected[j] * seen

@@ -27,7 +27,13 @@ from firmware_model.compiled import firmware
 from firmware_model.law.core import biquad
 from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.precision import real
-from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Struct
+from firmware_model.law.structs import (
+    MAX_COUNTED,
+    MAX_LATENCY_TICKS,
+    MAX_SECTIONS,
+    FloatArray,
+    Struct,
+)
 from firmware_model.law.supervision import candidate, whitener
 from firmware_model.law.supervision.whitener import add_signal, settle_whitener, whiten
 
@@ -43,7 +49,7 @@ class Actuator(Struct):
     """Constants of an actuator."""
 
     stage: Annotated[whitener.Constants, "1", "from its command to its output"]
-    dead_ticks: Annotated[int, "tick", "its dead time"]
+    dead_ticks: Annotated[int, "tick", "its dead time", (0, MAX_LATENCY_TICKS)]
     least: Annotated[float, "command²", "fading sum of outputs that noise may hide"]
     lead: Annotated[float, "1", "change of v over change of e; 1 for v = e"]
 
@@ -55,8 +61,10 @@ class Constants(Struct):
     actuator_2: Annotated[Actuator, "1", "actuator 2"]
     share: Annotated[candidate.Limits, "1", "limits of the share of e in d̂"]
     wrong: Annotated[candidate.Limits, "1", "the limits where the echo is believed"]
-    longest: Annotated[int, "tick", "largest age of an echo that counts; 0: no actuator reports"]
-    working: Annotated[int, "1", "echoes without a fault that end the belief"]
+    longest: Annotated[
+        int, "tick", "largest age of an echo that counts; 0: no actuator reports", (0, MAX_COUNTED)
+    ]
+    working: Annotated[int, "1", "echoes without a fault that end the belief", (0, MAX_COUNTED)]
     hand_over: Annotated[float, "1", "part of the distance per tick of a lag, from F̂ to C"]
 
 
@@ -105,7 +113,7 @@ def take_echo(constants: Constants, state: State, own: Echo, echo: float, age: f
     own.power = half * own.power + modelled * modelled
     own.left = constants.longest
     healthy = real(16.0, echo) * own.off < own.power
-    own.good = own.good + 1 if healthy else 0
+    own.good = min(own.good + 1, MAX_COUNTED) if healthy else 0
     if works(own, constants.working):
         own.believed = 0
 
@@ -122,10 +130,10 @@ def advance_echoes(table: Table, state: layout.State) -> None:
         u1 = memory.delay_1[memory.delay_index]
         u2 = memory.delay_2[memory.delay_index]
     if constants.actuator_1.dead_ticks > 0:
-        dead = estimator.dead_ticks_1
+        dead = max(estimator.dead_ticks_1, 1)
         u1 = memory.dead_1[(memory.dead_index_1 + dead - constants.actuator_1.dead_ticks) % dead]
     if constants.actuator_2.dead_ticks > 0:
-        dead = estimator.dead_ticks_2
+        dead = max(estimator.dead_ticks_2, 1)
         u2 = memory.dead_2[(memory.dead_index_2 + dead - constants.actuator_2.dead_ticks) % dead]
     own.index = (own.index + 1) % KEPT_TICKS
     advance_echo(constants.actuator_1, estimator.channel_1, own.channel_1, u1, own.index)

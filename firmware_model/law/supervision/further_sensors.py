@@ -29,8 +29,9 @@ def hear(table: Table, state: layout.State, sensor: float, value: float, age_tic
         age_ticks: ticks since the sample; below ``KEPT_TICKS``, or the sample is ignored.
     """
     sample, age = real(value, state.command_1), real(age_ticks, state.command_1)
-    kept = age >= 0.0 and age < real(KEPT_TICKS, age)
-    if not (math.isfinite(sample) and kept) or is_damaged(state):
+    if not (math.isfinite(sample) and age >= 0.0 and age < real(KEPT_TICKS, age)):
+        return
+    if is_damaged(state):
         return
     if sensor == 1.0:
         take_echo(table.echoes, state.echoes, state.echoes.channel_1, sample, age)

@@ -37,6 +37,7 @@ from firmware_model.law.structs import FloatArray, Struct
 from firmware_model.law.supervision import whitener
 from firmware_model.law.supervision.covariance import (
     LOSS_STATES,
+    MAX_STATES,
     SIZES,
     clear_covariance,
     fade,
@@ -56,7 +57,9 @@ if TYPE_CHECKING:
 class Constants(Struct):
     """Constants."""
 
-    n: Annotated[int, "1", "states: share and moment of a loss, other cars, the remainder"]
+    n: Annotated[
+        int, "1", "states: share and moment of a loss, other cars, the remainder", (0, MAX_STATES)
+    ]
     prior: Annotated[float, "1", "P0, initial variance of each θ; of the remainder 1"]
     forgetting: Annotated[FloatArray, "1", "1 - φ of each θ where the car moves", SIZES]
     growth: Annotated[FloatArray, "1", "1 - φ², times the variance of θ", SIZES]

@@ -44,7 +44,7 @@ class CarState(Struct):
 class Constants(Struct):
     """Constants."""
 
-    n: Annotated[int, "1", "principal directions in use"]
+    n: Annotated[int, "1", "principal directions in use", (0, MAX_DIRECTIONS)]
     scale: Annotated[float, "1", "from a car of this table to the end of the box"]
     car_1: Annotated[Car, "1", "the car along the first direction"]
     car_2: Annotated[Car, "1", "likewise the second"]

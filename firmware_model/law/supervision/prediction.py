@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 class Constants(Struct):
     """Constants."""
 
-    enabled: Annotated[int, "1", "0: commands feed through to the measurement of their tick"]
+    enabled: Annotated[
+        int, "1", "0: commands feed through to the measurement of their tick", (0, 1)
+    ]
     fading: Annotated[float, "1", "factor per tick of a difference that fades"]
     longest: Annotated[float, "tick", "time without an input until the commands go to zero"]
 

@@ -37,7 +37,7 @@ BEGUN, UNKNOWN, AT_REST = 0, 1, 2
 class Constants(Struct):
     """Constants."""
 
-    enabled: Annotated[int, "1", "0: m is unknown, and the law begins at rest"]
+    enabled: Annotated[int, "1", "0: m is unknown, and the law begins at rest", (0, 1)]
     least: Annotated[float, "y", "largest difference from the settled state that noise explains"]
     gain: Annotated[FloatArray, "1", "of the observer, a row a section", (MAX_SECTIONS, 2)]
     listening: Annotated[float, "tick", "ticks with a correction of m"]

@@ -26,7 +26,7 @@ class Constants(Struct):
     coefficients: Annotated[
         FloatArray, "1", "β0, β1, β2, α1, α2 as in ``biquad``", (WHITENER_SECTIONS, 5)
     ]
-    n: Annotated[int, "1", "number of sections in use; 0: W = 1"]
+    n: Annotated[int, "1", "number of sections in use; 0: W = 1", (0, WHITENER_SECTIONS)]
 
 
 class State(Struct):

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
-from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.structs import MAX_COUNTED, FloatArray, Struct
 from firmware_model.law.supervision.echoes import KEPT_TICKS
 
 if TYPE_CHECKING:
@@ -42,12 +42,17 @@ class Constants(Struct):
     lateral_weight: Annotated[float, "1", "d"]
     speed: Annotated[float, "m/s", "V"]
     late: Annotated[float, "tick", "lag of both sensors"]
-    longest: Annotated[int, "tick", "largest age of a witness that counts; 0: there is no witness"]
+    longest: Annotated[
+        int,
+        "tick",
+        "largest age of a witness that counts; 0: there is no witness",
+        (0, MAX_COUNTED),
+    ]
     keep: Annotated[float, "1", "factor per sample of the fading sums"]
     noise: Annotated[float, "y²", "fading sum that noise never reaches"]
     doubt: Annotated[float, "1", "square of the share by which V may be off; 0: V is measured"]
     nearer: Annotated[float, "1", "least ratio of the fading sums to tell who is wrong"]
-    working: Annotated[int, "1", "samples in agreement that end a denial"]
+    working: Annotated[int, "1", "samples in agreement that end a denial", (0, MAX_COUNTED)]
 
 
 class Sample(Struct):
@@ -114,8 +119,9 @@ def weigh_witness(table: Table, own: State, y: float, expected: float, healthy: 
     turning, sliding = constants.speed * own.yaw_rate.value, own.acceleration.value
     weight, oldest = constants.lateral_weight, max(own.yaw_rate.age, own.acceleration.age)
     age = weight * own.acceleration.age + (one - weight) * own.yaw_rate.age + constants.late
-    late = not (age >= 0.0 and age < real(KEPT_TICKS, age))
-    if late or oldest > real(constants.longest, age) or not math.isfinite(witness):
+    if not (age >= 0.0 and age < real(KEPT_TICKS, age)):
+        return
+    if oldest > real(constants.longest, age) or not math.isfinite(witness):
         return
     at = (own.index + KEPT_TICKS - int(age)) % KEPT_TICKS
     own.age = age
@@ -159,7 +165,7 @@ def compare(constants: Constants, own: State, at: int, witness: float, inner: fl
     if off:
         own.good = 0
     elif constants.nearer * constants.nearer * own.apart < own.power:
-        own.good += 1
+        own.good = min(own.good + 1, MAX_COUNTED)
     nearer = constants.nearer * own.witness_off < own.sensor_off
     nearer = nearer or constants.nearer * own.healthy_off < own.sensor_healthy_off
     sound = agrees_with_itself(constants, own)

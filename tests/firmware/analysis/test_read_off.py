@@ -40,4 +40,18 @@ def test_a_controller_that_never_answers_has_no_state() -> None:
 
 def test_a_limit_is_no_linear_controller() -> None:
     with pytest.raises(NotLinearError, match="not linear: off by"):
-        read_off(lambda inputs: np.clip(linear(inputs), -2e-4, 2e-4), 0)
+        read_off(lambda inputs: np.clip(linear(inputs), -2e-6, 2e-6), 0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_matrices_that_explode_are_off_by_more_than_all_of_the_answers() -> None:
+    """Powers of an unstable matrix overflow; their dozens of digits say nothing."""
+
+    def echoes(inputs: FloatArray) -> FloatArray:
+        answers = np.zeros((len(inputs), 3))
+        for tick, gain in ((1, 1.0), (17, 1e9), (33, 1e18)):
+            answers[tick] = gain * inputs[0].sum()
+        return answers
+
+    with pytest.raises(NotLinearError, match=r"off by more than 100%$"):
+        read_off(echoes, 0)

@@ -71,6 +71,13 @@ def test_numbers_of_slow_and_fast_sections_are_of_one_size(name: str) -> None:
     assert 1.0 / 8.0 < np.abs(b).max() / np.abs(c).max() < 8.0
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_slow_filter_of_high_order_is_sampled_without_a_warning() -> None:
+    """Its states differ by more than 2^63; the gain for a constant input is 1."""
+    a, b, c = sampled(ZeroPoleGain((), (-1.0,) * 8, 1.0), 1e-6)
+    assert (c @ np.linalg.solve(-a, b)).item() == pytest.approx(1.0)
+
+
 def eulerian(order: int) -> list[int]:
     """Numbers of permutations by their ascents, which are the coefficients."""
     row = [1]

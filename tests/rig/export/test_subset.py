@@ -8,8 +8,13 @@ import sys
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
+from hypothesis import given, reject, settings
+from hypothesis import strategies as st
 
 from can_rig.errors import ExportError
 from can_rig.export.c_files import c_files
@@ -31,6 +36,7 @@ MANY, HUGE = 7, 2**32
 class State(Struct):
     a: Annotated[float, "1", "a number"]
     n: Annotated[int, "1", "an integer"]
+    of_table: Annotated[int, "1", "an integer of a table", (0, 4)]
     list: Annotated[FloatArray, "1", "an array", (4,)]
     grid: Annotated[FloatArray, "1", "a matrix", (4, 2)]
 
@@ -41,11 +47,20 @@ def count(state: State) -> float:
     return answer
 
 @firmware
+def change(state: State) -> None:
+    state.n = 2 if state.a > 0.0 else 0
+
+@firmware
+def choose(state: State, n: int) -> int:
+    return n if state.a > 0.0 else 0
+
+@firmware
 def pair(x: float) -> tuple[float, float]:
     y = x
     return x, y
 
 """
+COMPILED = "from firmware_model.compiled import firmware\n"
 Translate = Callable[[str], Path]
 
 
@@ -99,7 +114,7 @@ REFUSED = {
     "if x:\n        pass": "x is a real number: must be a truth value or an integer",
     "if 0.0 < x < 1.0:\n        pass": "must be two comparisons",
     "while x > 0.0:\n        pass": "while x > 0.0: must be an assignment, a call, if, for",
-    "for y in state.list:\n        pass": "must be for i in range(stop) or range(start, stop)",
+    "for y in state.list:\n        pass": "must be for i in range(stop), range(start, stop) or",
     "for i in range(4):\n        i = 2": "i counts a loop: must not be assigned",
     "for i in range(state.n):\n        state.n = 2": "range(state.n): must be a name, a number",
     "y = math.exp(x)": "math.exp(x): must be a function of the target",
@@ -157,18 +172,41 @@ REFUSED = {
         "state.list[i]: index 8 is possible: must be from 0 to 3",
     "for i in range(4):\n        state.list[i - 1] = x":
         "state.list[i - 1]: index -1 is possible: must be from 0 to 3",
-    "for i in range(state.n):\n        state.list[i - 1] = x": "index -1 is possible",
+    "for i in range(state.n):\n        state.list[i - 1] = x": "i - 1 can be any number",
+    "for i in range(state.n):\n        state.list[i] = x": "any index seems possible",
+    "for i in range(3, -2, -1):\n        state.list[i] = x": "index -1 is possible",
     "for i in range(4):\n        for j in range(i, 3):\n            y = state.grid[i, j]":
         "state.grid[i, j]: index 2 is possible: must be from 0 to 1",
     "k = 6\n    y = state.list[k]": "state.list[k]: index 6 is possible",
     "k = 6\n    state.list[k] = x": "state.list[k]: index 6 is possible",
     "k = 3\n    if x > 0.0:\n        k = 4\n    y = state.list[k]": "index 4 is possible",
+    "k = 3\n    for _ in range(9):\n        k += 1\n    y = state.list[k]": "k += 1 can be any",
+    "k = 3\n    for _ in range(9):\n        if x > 0.0:\n            k = 4\n            break\n"
+    "    y = state.list[k]": "index 4 is possible",
     "k = 2 if x > 0.0 else -2\n    y = state.list[k]": "index -2 is possible",
     "y = state.list[state.n % 5]": "index 4 is possible",
-    "y = state.list[min(state.n, 4)]": "index 4 is possible",
-    "y = state.list[max(-1, -state.n % 3) - 1]": "index -1 is possible",
+    "y = state.list[state.n % state.of_table]": "must not divide by 0, which is possible",
+    "y = state.list[min(state.n, 3)]": "any index seems possible",
+    "y = state.list[max(-1, state.n % 3) - 1]": "index -1 is possible",
     "for i in range(4):\n        y = state.list[2 * i]": "index 6 is possible",
     "k = 100000\n    state.n = k * k": "k * k can be 10000000000: must be from -2**31 to",
+    "y = real(state.of_table * 1000000000, x)": "can be 4000000000: must be from -2**31 to",
+    "y = real(-state.n, x)": "-state.n can be any number: must be from -2**31 to 2**31 - 1",
+    "y = state.list[state.of_table]": "index 4 is possible: must be from 0 to 3",
+    "y = state.list[state.n - 1]": "state.n - 1 can be any number: must be from -2**31 to",
+    "if state.of_table > 0:\n        y = state.list[state.of_table]": "index 4 is possible",
+    "if state.of_table < 4 or x > 0.0:\n        y = state.list[state.of_table]": "index 4 is",
+    "if state.of_table < 4 and x > 0.0:\n        y = x\n    else:\n"
+    "        y = state.list[state.of_table]": "index 4 is possible",
+    "if state.n > 0:\n        change(state)\n        y = state.list[state.n - 1]": "index -1 is",
+    "if state.of_table <= 4:\n        y = state.list[state.of_table]": "index 4 is possible",
+    "for i in range(-1, 4):\n        y = state.list[min(i * i, 3)]": "index -3 is possible",
+    "y = state.list[state.of_table % -3]": "state.of_table % -3 can be any number",
+    "state.of_table = 5": "can be beyond its declared range: must be from 0 to 4",
+    "y = state.list[int(x)]": "int(x): any number seems possible: must be compared with limits",
+    "if not x < 0.0 and not x > 3.0:\n        y = state.list[int(x)]": "any number seems possible",
+    "if x >= 0.0 and x < 5.0:\n        y = state.list[int(x)]": "index 5 is possible",
+    "y = state.list[choose(state, 2)] + state.list[choose(state, 4)]": "index 4 is possible",
     "größe = x": "größe: must be a name in ASCII, as C has them",
 }  # fmt: skip
 
@@ -219,14 +257,113 @@ def test_signatures_that_c_has_not_are_refused(
         "for i in range(4):\n        pass\n    for i in range(2):\n        state.list[i] = x",
         "state.n = -2147483648", "y = state.list[3]",
         "for i in range(1, 4):\n        state.list[i - 1] = x",
-        "k = state.n\n    for i in range(k):\n        state.list[i] = x",
+        "n = state.of_table\n    for i in range(n):\n        state.list[i] = x",
+        "n = state.of_table - 1\n    for i in range(n, -1, -1):\n        state.list[i] = x",
         "k = 0\n    for _ in range(3):\n        k = (k + 1) % 4\n        state.list[k] = x",
-        "k = 0\n    k += 9\n    state.list[k] = x", "y = state.list[max(0, min(state.n, 3))]",
+        "state.n = min(state.n + 1, 3)\n    y = state.list[state.n]",
+        "k = 0\n    k += 3\n    state.list[k] = x", "y = state.list[max(0, min(state.n, 3))]",
         "for i in range(2):\n        for j in range(2):\n            state.list[2 * i + j] = x",
+        "change(state)\n    y = state.list[state.n + 1]",
+        "if state.of_table > 0:\n        y = state.list[state.of_table - 1]",
+        "if state.of_table:\n        y = state.list[state.n % state.of_table]",
+        "if not (x >= 0.0 and x < 4.0):\n        return\n    y = state.list[min(int(x), 3)]",
+        "y = state.list[choose(state, 2)] + state.list[choose(state, 3)]",
+        "low = state.of_table < 4 and state.list[state.of_table] > x",
     ],
 )  # fmt: skip
 def test_what_is_inside_is_not(translate: Translate, line: str) -> None:
     compile_in(translate(f"@firmware\ndef f(state: State, x: float) -> None:\n    {line}\n"))
+
+
+class Checked(list[float]):
+    """An array as C has it, without an element before the first."""
+
+    def __getitem__(self, at: Any) -> Any:
+        assert 0 <= at < len(self)
+        return super().__getitem__(at)
+
+    def __setitem__(self, at: Any, value: Any) -> None:
+        assert 0 <= at < len(self)
+        super().__setitem__(at, value)
+
+
+INTEGERS = st.recursive(
+    st.sampled_from(["k", "m", "state.n", "state.of_table", "0", "1", "2", "3", "int(x)"]),
+    lambda of: st.one_of(
+        st.tuples(of, st.sampled_from(["+", "-", "*", "%"]), of).map(
+            lambda each: f"({each[0]} {each[1]} {each[2]})"
+        ),
+        st.tuples(st.sampled_from(["min", "max"]), of, of).map(
+            lambda each: f"{each[0]}({each[1]}, {each[2]})"
+        ),
+        st.tuples(of, of).map(lambda each: f"({each[0]} if x > 1.0 else {each[1]})"),
+    ),
+    max_leaves=4,
+)
+ORDERS = st.sampled_from(["<", "<=", ">", ">=", "==", "!="])
+TESTS = st.recursive(
+    st.one_of(
+        st.tuples(INTEGERS, ORDERS, INTEGERS).map(" ".join),
+        st.tuples(st.just("x"), ORDERS, st.sampled_from(["0.0", "3.0"])).map(" ".join),
+        st.just("changes(state)"),
+    ),
+    lambda of: st.one_of(
+        st.tuples(of, st.sampled_from([" and ", " or "]), of).map(
+            lambda each: f"({''.join(each)})"
+        ),
+        of.map(lambda each: f"(not {each})"),
+    ),
+    max_leaves=3,
+)
+
+
+def indented(body: list[str]) -> list[str]:
+    return [f"    {line}" for line in body]
+
+
+BODIES = st.recursive(
+    st.one_of(
+        st.tuples(st.sampled_from(["k", "m", "state.n"]), INTEGERS).map(
+            lambda each: [f"{each[0]} = {each[1]}"]
+        ),
+        INTEGERS.map(lambda at: [f"state.list[{at}] = x"]),
+        st.just(["change(state)"]),
+    ),
+    lambda of: st.one_of(
+        st.tuples(of, of).map(lambda each: [*each[0], *each[1]]),
+        st.tuples(TESTS, of, of).map(
+            lambda each: [f"if {each[0]}:", *indented(each[1]), "else:", *indented(each[2])]
+        ),
+        st.tuples(st.sampled_from(["_", "i"]), st.integers(0, 4), of).map(
+            lambda each: [f"for {each[0]} in range({each[1]}):", *indented(each[2])]
+        ),
+    ),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=400, deadline=None)
+@given(BODIES, st.lists(st.tuples(st.integers(0, 4), st.floats()), min_size=4, max_size=4))
+def test_what_is_translated_never_leaves_its_array(
+    body: list[str], runs: list[tuple[int, float]]
+) -> None:
+    """Whatever is accepted runs in Python, call after call, with every index in its array."""
+    lines = ["    k = 0", "    m = state.n", *indented(body)]
+    text = (
+        "@firmware\ndef changes(state: State) -> bool:\n    change(state)\n    return state.n > 1\n"
+        "@firmware\ndef f(state: State, x: float) -> None:\n" + "\n".join(lines) + "\n"
+    )
+    with TemporaryDirectory() as folder:
+        try:
+            translated(text, Path(folder))
+        except ExportError:
+            reject()
+    names: dict[str, Any] = {}
+    exec("def firmware(f):\n    return f\n" + (HEADER + text).replace(COMPILED, ""), names)
+    state = SimpleNamespace(a=0.0, n=0, list=Checked([0.0] * 4))
+    for of_table, x in runs:
+        state.of_table, state.a = of_table, x
+        names["f"](state, x)
 
 
 def test_no_docstring_is_no_comment(translate: Translate) -> None:
