@@ -338,7 +338,8 @@ def _explain(name: str, interface: str, channel: object, error: Exception) -> st
         keys = re.findall(r"'(\w+)'", missing[1])
         given = f":{channel}" if channel is not None else ":CHANNEL"
         query = "&".join(f"{key}={key.upper()}" for key in keys if key != "channel")
-        return f"bus {name!r}: must say {' and '.join(keys)}, as in {interface}{given}?{query}"
+        example = f"{interface}{given}{'?' if query else ''}{query}"
+        return f"bus {name!r}: must say {' and '.join(keys)}, as in {example}"
     if isinstance(error, can.CanInterfaceNotImplementedError) and interface in _EXTRAS:
         reason += f": pip install 'python-can[{_EXTRAS[interface]}]'"
     return f"cannot open bus {name!r}: {reason}"

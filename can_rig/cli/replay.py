@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -167,8 +168,8 @@ def command(
             "must name a car's signals, as yaw_rate; --out is the run folder of a --what-if too"
         )
     before = window._replace(begin_ns=ALL.begin_ns)  # also replayed, but not compared
-    source = source_of(log, scenario_name, settings, channel, before)
-    sys.exit(_open_loop(source, window.begin_ns, gaps, force, as_json))
+    part = partial(source_of, log, scenario_name, settings, channel)
+    sys.exit(_open_loop(part(before), partial(part, window), window.begin_ns, gaps, force, as_json))
 
 
 def _refuse_together(option: str, **others: object) -> None:
@@ -177,11 +178,19 @@ def _refuse_together(option: str, **others: object) -> None:
             raise click.UsageError(f"{option} and --{name.replace('_', '-')} do not go together")
 
 
-def _open_loop(source: Source, begin_ns: int, gaps: Path | None, force: bool, as_json: bool) -> int:
+def _open_loop(
+    source: Source,
+    later: Callable[[], Source],
+    begin_ns: int,
+    gaps: Path | None,
+    force: bool,
+    as_json: bool,
+) -> int:
     """Run a log through today's controller; returns 0 without a difference, else 1.
 
     Args:
         source: the log, from its first frame on.
+        later: the log from ``begin_ns`` on, for a comparison within another run of the log.
         begin_ns: start of the comparison within the recording.
         gaps: the file of the gaps.
         force: replace the file of the gaps.
@@ -194,12 +203,10 @@ def _open_loop(source: Source, begin_ns: int, gaps: Path | None, force: bool, as
     if gaps is not None:
         refuse_existing(gaps, force, "--gaps")
     with _all_gaps(gaps, force) as write:
-        network, answers = network_of(source.scenario), None
-        if source.is_realtime:
-            looking = source.frames(lambda log: reading(log, "looking through"))
-            answers = recorded(looking, network, source.scenario)
-        loop = OpenLoop(source.scenario, network, recorded=answers)
-        loop.run(_compared_from(begin_ns, source, loop))
+        loop = _replayed(source, begin_ns)
+        if loop.left_out and not loop.comparison.ticks and begin_ns != ALL.begin_ns:
+            source = later()
+            loop = _replayed(source, ALL.begin_ns)
         listed = loop.account.gaps
         write(listed)
     if not any(signal.compared for signal in loop.comparison.signals):
@@ -213,6 +220,16 @@ def _open_loop(source: Source, begin_ns: int, gaps: Path | None, force: bool, as
     else:
         _print_comparison(source, loop, listed, gaps)
     return 0 if loop.comparison.identical else 1
+
+
+def _replayed(source: Source, begin_ns: int) -> OpenLoop:
+    network, answers = network_of(source.scenario), None
+    if source.is_realtime:
+        looking = source.frames(lambda log: reading(log, "looking through"))
+        answers = recorded(looking, network, source.scenario)
+    loop = OpenLoop(source.scenario, network, recorded=answers)
+    loop.run(_compared_from(begin_ns, source, loop))
+    return loop
 
 
 def _compared_from(begin_ns: int, source: Source, loop: OpenLoop) -> Iterator[Frames]:

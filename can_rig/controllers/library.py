@@ -66,7 +66,9 @@ class LibraryController:
         try:
             library: Any = ctypes.CDLL(str(path.resolve()))
         except OSError as error:
-            raise ScenarioError(f"{where}: cannot be loaded: {error}") from None
+            raise ScenarioError(
+                f"{where}: must be a shared library, as of cc -shared -fPIC: {error}"
+            ) from None
         missing = [name for name in FUNCTIONS if not hasattr(library, name)]
         if missing:
             raise ScenarioError(

@@ -22,6 +22,8 @@ METHODS: Final = {
 BLIND: Final = int(Mode.BLIND)
 CODES: Final = {"mode": 3, "fault_state": 3, "verdict": 13}
 """The largest code of each part of an answer."""
+SAID: Final = 100
+"""Characters of a refused answer in its line."""
 
 
 def class_of(setup: ControllerSetup) -> Callable[[], Any]:
@@ -174,6 +176,7 @@ class Peer:
 
     def _refused(self, answer: object, right: str) -> RigError:
         said = " ".join(repr(answer).split())
+        said = said if len(said) <= SAID else f"{said[: SAID - 3]}..."
         return RigError(f"{self._where}: step at {self._time} answers {said}: {right}")
 
     def _possible(self, answer: Answer) -> tuple[float, float]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import Any
 
+from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant, target
 from can_rig.scenario.settings import Scenario
 from firmware_model.design.plants import Plant
@@ -39,9 +41,16 @@ class ControllerSetup:
         return self.scenario.controller.parameters
 
     def number(self, name: str, default: float) -> float:
-        """A number of ``parameters``; ``default`` where the table has no such number."""
+        """A number of ``parameters``; ``default`` where the table has no such number.
+
+        Raises:
+            ScenarioError: the parameter is no number.
+        """
         self._asked.add(name)
-        return float(self.scenario.controller.parameters.get(name, default))
+        value = self.scenario.controller.parameters.get(name, default)
+        if not isinstance(value, Real) or isinstance(value, bool):
+            raise ScenarioError(f"controller.parameters.{name} = {value!r}: must be a number")
+        return float(value)
 
     @property
     def tick_s(self) -> float:

@@ -31,6 +31,7 @@ _OTHER: Final = "a DBC cannot have this here; the line must be mended or left ou
 _TEXT: Final = re.compile(r'"((?:[^"\\]|\\.)*)(?:"|\Z)', re.S)
 _STATEMENT: Final = re.compile(r"\n\s*(?:BO_|SG_|CM_|BA_\w*|VAL_\w*|SIG_\w+|SG_MUL_VAL_)\s")
 _SHOWN: Final = 40
+_UNUSED: Final = re.compile(r"unused VAL_ .*?VAL_ (\d+) (\w+)")
 
 
 @cache
@@ -71,7 +72,11 @@ def advice(text: str, error: BaseException) -> str:
         return _of_syntax(text.split("\n"), number, column)
     named = _MESSAGE.search(said)
     name = (named[1] or named[2]) if named else None
-    place = re.search(rf"^\s*BO_\s+\d+\s+{name}\b", text, re.M) if name else None
+    begin = rf"BO_\s+\d+\s+{name}" if name else None
+    if unused := _UNUSED.search(said):
+        begin = rf"VAL_\s+{unused[1]}\s+{unused[2]}"
+        said += "; the signal must be in the message, or the line be left out"
+    place = re.search(rf"^\s*{begin}\b", text, re.M) if begin else None
     if place is None:
         return said
     line = text.count("\n", 0, place.end()) + 1

@@ -58,7 +58,7 @@ def noise_free(scenario: Scenario, signals: Signals, rows: int) -> Counterfactua
 def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
     """The same run with faults and without compensation; nan for a controller of one's own."""
     if not scenario.controller.is_ours:
-        return Counterfactual(*np.full((len(Counterfactual._fields), len(signals)), np.nan))
+        return _unknown(signals)
     off = replace(scenario.design, compensation="off")
     return _instead(replace(scenario, design=off), signals, len(signals))
 
@@ -71,11 +71,17 @@ def undisturbed(scenario: Scenario, signals: Signals) -> Counterfactual:
     return _instead(calm, signals, len(signals))
 
 
+def _unknown(signals: Signals) -> Counterfactual:
+    return Counterfactual(*np.full((len(Counterfactual._fields), len(signals)), np.nan))
+
+
 def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
     if not len(signals):
-        return Counterfactual(*(np.empty(0) for _ in Counterfactual._fields))
+        return _unknown(signals)
     first = round(float(signals.time_s[0]) / scenario.tick_s)
     ticks = first + len(signals)
+    if ticks < scenario.ticks and not scenario.controller.is_ours:
+        return _unknown(signals)  # what ended the run, perhaps for ever, would end this run too
     if ticks > scenario.ticks:
         scenario = replace(scenario, duration_s=ticks * scenario.tick_s)
     if scenario.ticks > paged.PAGED_ROWS:

@@ -532,7 +532,12 @@ def linear_kind(plant: Mapping[str, Any]) -> str:
     kind = str(plant.get("kind", CAR))
     if ":" not in kind:
         return kind
-    by_numbers = TRANSFER_FUNCTIONS if plant.get("g1") or plant.get("g2") else CAR
+    tables = (plant.get("g1"), plant.get("g2"))
+    given = (  # a whole scenario has tables without a number
+        any(value is not None for value in each.values()) if isinstance(each, Mapping) else each
+        for each in tables
+    )
+    by_numbers = TRANSFER_FUNCTIONS if any(given) else CAR
     return STATE_SPACE if plant.get("a") else by_numbers
 
 

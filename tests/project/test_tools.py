@@ -13,6 +13,7 @@ OWN_FRAMES = "--dbc=tests/rig/own_frames/motorola.dbc"
 SHORTEST = {
     ("bench", "loop", "--rounds=1", "--seconds=0.1"),
     ("bench", "decode", "--rounds=1", "--frames=2000", OWN_FRAMES),
+    ("bench", "filter", "--rounds=1", "--filters=1"),
     ("verdicts", "--scenarios=1"),
 }
 """Tools with their arguments."""

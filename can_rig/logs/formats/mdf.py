@@ -557,6 +557,7 @@ def split(
 
 
 _ONE_TO_ONE, _LINEAR, _FORMULA, _VALUE_TO_TEXT, _RANGE_TO_TEXT = 0, 1, 3, 7, 8
+_TEXT_TO_VALUE, _TEXT_TO_TEXT = 9, 10
 _ARITHMETIC: Final = re.compile(  # a formula goes through Python's `eval`, where powers may not end
     r"(?!.*\*\s*\*)(?:[X\d.eE+\-*/(),\s]|"
     r"(?:arc)?(?:sin|cos|tan)h?(?=\()|(?:exp|log|log10|sqrt|abs)(?=\())+",
@@ -621,8 +622,10 @@ def physical(file: MdfFile, channel: Channel, records: UInt8s, first: int) -> ND
     """
     values = raw(channel, records, first)
     conversion = channel.conversion
+    if values.dtype.kind == "S" and conversion.kind not in (_TEXT_TO_VALUE, _TEXT_TO_TEXT):
+        return np.array([_is_yes(said) for said in values.tolist()], np.uint8)
     if conversion.kind == _ONE_TO_ONE:
-        return values if values.dtype.kind != "S" else np.isin(values.astype(str), _YES)
+        return values
     if conversion.kind == _LINEAR and len(conversion.values) >= 2:
         offset, factor = conversion.values[:2]
         return values if (offset, factor) == (0, 1) else offset + factor * values
@@ -635,7 +638,7 @@ def physical(file: MdfFile, channel: Channel, records: UInt8s, first: int) -> ND
         return found
     is_code = values.dtype.kind != "S" and channel.kind != VIRTUAL
     numbered = [
-        said if not isinstance(said, bytes) else code if is_code else said.decode() in _YES
+        said if not isinstance(said, bytes) else code if is_code else _is_yes(said)
         for said, code in zip(found.tolist(), values.tolist(), strict=True)
     ]
     return np.array(numbered, np.float64)
@@ -658,6 +661,10 @@ def _by_asammdf(file: MdfFile, channel: Channel, values: NDArray[Any]) -> NDArra
             f"channel {channel.name} has a conversion of type {conversion.kind} that asammdf does "
             f"not apply: {one_line(error)}"
         ) from None
+
+
+def _is_yes(said: bytes) -> bool:
+    return said.decode("utf-8", "replace") in _YES
 
 
 def _says_yes(conversion: Conversion, value: float) -> bool:
@@ -711,6 +718,9 @@ def payloads(channel: Channel, records: UInt8s, length: UInt8s) -> UInt8s:
 
 KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
 """Channel groups by name, and the flag of their frames."""
+
+_NUMBERS: Final = ("ID", "DLC", "DataLength", "BusChannel")
+"""Channels of a frame in which words mean nothing."""
 
 _ID_MASK: Final = (1 << 29) - 1
 _EXTENDED_BIT: Final = 1 << 31
@@ -839,6 +849,9 @@ class _Group:
             channel = self._members.get(name)
             if channel is None:
                 return np.zeros(count, np.uint8)
+            is_text = channel.data_type in TEXTS and channel.conversion.kind != _TEXT_TO_VALUE
+            if name in _NUMBERS and is_text:
+                raise MdfError(f"channel {channel.name} must hold numbers, not text")
             return numbers(self._file, channel, part, first)
 
         identifier = member("ID").astype(np.uint32)

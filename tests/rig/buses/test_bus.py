@@ -105,6 +105,7 @@ def test_unknown_interface() -> None:
 
 def test_what_a_name_leaves_out_is_named() -> None:
     assert failure("socketcan") == "bus 'socketcan': must name a channel, as in socketcan:vcan0"
+    assert failure("slcan") == "bus 'slcan': must say channel, as in slcan:CHANNEL"
     assert failure("socketcand:nowhere") == (
         "bus 'socketcand:nowhere': must say host and port, as in "
         "socketcand:nowhere?host=HOST&port=PORT"

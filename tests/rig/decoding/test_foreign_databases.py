@@ -184,6 +184,14 @@ def test_what_cannot_be_loaded_is_said_with_its_line(
         load_database(written(tmp_path, TWICE.replace(old, new)), strict)
 
 
+def test_a_value_table_without_its_signal_is_said_with_its_line(tmp_path: Path) -> None:
+    path = written(tmp_path, TWICE + 'VAL_ 257 Q 1 "a" ;\n')
+    line = TWICE.count("\n") + 1
+    with pytest.raises(DbcError, match=f"line {line}: unused VAL_.* must be in the message"):
+        load_database(path)
+    assert load_database(path, strict=False).messages
+
+
 def test_signals_without_a_place_or_a_name(tmp_path: Path) -> None:
     """Found by tools/fuzz: a signal behind no multiplexer, one without a name, and others."""
     text = TWICE.replace(" SG_ Z : 0|8", " SG_ Z m3 : 0|8")

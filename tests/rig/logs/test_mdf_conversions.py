@@ -15,6 +15,7 @@ from tests.rig.logs.mdf_builder import (
     FIXED,
     FORMULA,
     INTERPOLATED,
+    LINEAR,
     NEAREST,
     RANGES,
     RATIONAL,
@@ -72,11 +73,22 @@ def test_words_say_who_sent_a_frame(tmp_path: Path) -> None:
     for data_type, kind, tables, sent in (
         (TEXT, TEXT_TO_TEXT, [[], ["A", "Tx", "B", "Rx", "Rx"]], {ord("A")}),
         (TEXT, 0, [[]], {ord("1")}),
+        (TEXT, LINEAR, [[0, 1]], {ord("1")}),
+        (TEXT, WORDS, [[0, 1], ["no", "Tx"]], {ord("1")}),
         (UNSIGNED, WORDS, [[0, 1], ["no", "Tx"]], set(range(1, 80))),  # codes, whatever they mean
         (UNSIGNED, WORDS, nested, set(range(1, 80)) - {8}),
     ):
         path = converted(tmp_path, "Dir", data_type, kind, *tables)
         assert {row[1] - 0x100 for row in rows(whole(path)) if row[2] & SENT} == sent
+
+
+@pytest.mark.parametrize("name", ["ID", "DataLength", "BusChannel"])
+@pytest.mark.parametrize(("kind", "tables"), [(0, [[]]), (WORDS, [[0], ["Tx"]])])
+def test_a_number_that_is_a_word_is_refused(
+    tmp_path: Path, name: str, kind: int, tables: list
+) -> None:
+    with pytest.raises(LogError, match=f"{name} must hold numbers, not text"):
+        whole(converted(tmp_path, name, TEXT, kind, *tables))
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,17 @@ def test_a_what_if_reads_its_log_once(run: Path, monkeypatch: pytest.MonkeyPatch
     assert read == [run / "bus.log"] and len(asked_of.logged) == 300 and asked_of.told == ()
 
 
+def test_from_chooses_the_second_run_of_a_log(run: Path, tmp_path: Path) -> None:
+    log = tmp_path / "two.log"
+    first = (run / "bus.log").read_text("ascii")
+    log.write_text(first + first.replace("(0.", "(9."), "ascii")
+    scenario = ("--scenario", "thesis-sine", *DURATION)
+    assert "300 of 600 ticks" in asked("replay", log, *scenario).stdout
+    second = asked("replay", log, *scenario, "--from", 8)
+    assert (second.returncode, second.stderr) == (0, "")
+    assert "300 of 300 ticks compared" in second.stdout
+
+
 def test_the_load_is_that_of_the_scenarios_bit_rate(run: Path) -> None:
     said = asked("stats", run).stdout
     assert "at 1000 kbit/s: at most" in said and "--bitrate" not in said

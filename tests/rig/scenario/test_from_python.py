@@ -164,6 +164,15 @@ def test_a_class_of_a_script_is_found_by_the_script_and_by_others(
     assert peer_of(made).step(Inputs(1.0, 0.0)).command_1 == 30.0
 
 
+@pytest.mark.parametrize("name", ["default", "pendulum", "two-masses"])
+def test_a_whole_scenario_takes_a_plant_of_ones_own_as_its_name_does(name: str) -> None:
+    changes = {"plant.kind": static}
+    by_name = can_rig.load_scenario(name, changes)
+    whole = can_rig.load_scenario(can_rig.load_scenario(name), changes)
+    assert whole == by_name
+    assert whole.model == can_rig.load_scenario(name).model
+
+
 def test_a_part_of_a_scenario_is_a_table() -> None:
     soft = can_rig.load_scenario("default", {"plant.mass_kg": 1400.0})
     made = can_rig.load_scenario("ideal", {"plant": soft.plant, "limits": soft.limits})
