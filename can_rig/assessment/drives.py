@@ -126,6 +126,11 @@ class Drives:
         for state, phase in phases:
             away = self._longest_away_s(distance[phase])
             if away > self._return_s:
+                failed = np.flatnonzero(np.isnan(distance))
+                if plant.is_own and len(failed):
+                    at = f"{failed[0] * tick_s:.4g} s"
+                    yield Finding(car, False, f"{state}: {plant.kind} fails at {at}")
+                    return
                 last = distance[phase][-round(1.0 / tick_s) :]
                 largest = f"{float(np.nanmax(last, initial=0.0)):.3g}"
                 yield Finding(

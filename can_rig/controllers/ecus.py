@@ -135,7 +135,7 @@ class BenchEcu:
 
     Args:
         link: the link to the program.
-        receivers: number of received frames: 2, or 3 with the speed.
+        receivers: number of received frames: reference, feedback, speed, and each heard sensor's.
         room: bytes of its longest frame; see ``frame_bytes``.
     """
 

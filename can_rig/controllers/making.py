@@ -20,7 +20,7 @@ from can_rig.controllers.setup import ControllerSetup
 from can_rig.errors import ExportError, require
 from can_rig.export.application import application, identity
 from can_rig.export.boards import firmware_image
-from can_rig.export.network_code import frame_bytes
+from can_rig.export.network_code import frame_bytes, sensors_of
 from can_rig.frames.network import Network
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controller_settings import FILTERS
@@ -80,7 +80,8 @@ def controller_of(name: str, scenario: Scenario) -> Supplied:
             CompiledLaw(scenario.design.precision, changes_speed=scenario.drive.is_given)
         )
     network = network_of(scenario)
-    receivers, room = network.offered, frame_bytes(network)
+    receivers = network.offered + len(sensors_of(scenario, network))
+    room = frame_bytes(network)
     if name == "ecu":
         library = host_library(scenario)
         return WholeNode(lambda: HostEcu(library, room))

@@ -145,7 +145,8 @@ def write(texts: dict[str, str], folder: Path, force: bool) -> None:
 
 def _parts(node: Mapping[str, str]) -> set[str]:
     """Parts of handwritten files that go with the files of an application."""
-    return {*parts_of(node), *((HEARS,) if "frame_speed" in node["frames.h"] else ())}
+    found = parts_of(node) | ({HEARS} if "frame_speed" in node["frames.h"] else set())
+    return found | ({SENSORS} if "ECU_SENSORS" in node["ecu.h"] else set())
 
 
 def _latency(scenario: Scenario) -> str:

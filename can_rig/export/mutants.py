@@ -43,7 +43,7 @@ LONGEST_S: Final = 20.0
 """Of a program that takes a tenth of a second; a mutant that takes longer does not end."""
 LATE: Final = "late"
 FLAGS: Final = (
-    *HOST_FLAGS, "-O1", "-w", "-fsanitize=bounds", "-fsanitize-undefined-trap-on-error",
+    *HOST_FLAGS, "-O1", "-w", "-fsanitize=bounds-strict", "-fsanitize-undefined-trap-on-error",
 )  # fmt: skip
 """An index outside its array ends the program."""
 SELF_TEST: Final = (

@@ -34,6 +34,7 @@ from can_rig.export.law import parts_of, support
 from can_rig.export.network_code import frame_bytes
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.network import Network, flagged
+from can_rig.scenario.sensor_settings import SAMPLE_TICKS
 from firmware_model.firmware import PYTHON_LAW, Law
 from firmware_model.law.core.biquad import output
 from firmware_model.law.layout import precision_of, state_type, table_type
@@ -83,7 +84,7 @@ LAST_TICKS = 65530  # the 16 bits of the tick end soon
 def random_frames(network: Network, seed: int) -> list[list[can.Message]]:
     """By tick, what the plant node might have sent, the same for the same ``seed``."""
     choose, ticks = random.Random(seed), []
-    transmitters = [Transmitter(codec) for codec in network.inputs]
+    transmitters = [Transmitter(codec) for codec in (*network.witnesses, *network.inputs)]
     first = choose.choice([0, LAST_TICKS])
     for tick in range(first, first + NODE_TICKS):
         frames: list[can.Message] = []
@@ -93,7 +94,10 @@ def random_frames(network: Network, seed: int) -> list[list[can.Message]]:
                     transmitter.frame(0.0, tick)
             size = choose.choice([1.0, 1.0, 1.0, 1.0, 1e3, math.inf, math.nan])
             ends = SPEEDS if transmitter.codec is network.speed else VALUES
-            message = transmitter.frame(size * choose.uniform(*ends), tick)
+            says: tuple[bool, int, int] | tuple[()] = ()
+            if transmitter.codec in network.witnesses:  # its validity, and the tick of its sample
+                says = (choose.random() < 0.9, 0, (tick - choose.randrange(9)) % SAMPLE_TICKS)
+            message = transmitter.frame(size * choose.uniform(*ends), tick, *says)
             what = choose.random()
             if what < 0.04:
                 continue

@@ -503,7 +503,9 @@ class EcuNode(AnsweringNode):
         self._send = send
         self._ecu = ecu
         speed = () if network.speed is None else (network.speed,)
-        self._inputs = (network.reference, network.feedback, *speed)
+        heard = zip(scenario.sensors, network.witnesses, strict=True)
+        further = (codec for sensor, codec in heard if sensor.measures in scenario.heard)
+        self._inputs = (network.reference, network.feedback, *speed, *further)
         self._wanted = {
             flagged(codec.frame_id, codec.extended, codec.fd)
             for codec in (*network.inputs, *network.witnesses)

@@ -61,13 +61,18 @@ uint8_t harness_receivers(void)
 
 void harness_counts(const struct ecu *ecu, uint32_t counts[HARNESS_COUNTS])
 {
-    const struct ecu_receiver *const receivers[HARNESS_RECEIVERS] = {
+    const struct ecu_receiver *receivers[HARNESS_RECEIVERS] = {
 //: if hears
         &ecu->reference, &ecu->feedback, &ecu->speed};
 //: else
         &ecu->reference, &ecu->feedback};
 //: end
 
+//: if sensors
+    for (uint32_t i = 0; i < ECU_SENSORS; i++) {
+        receivers[HARNESS_ALWAYS + i] = &ecu->sensors[i].receiver;
+    }
+//: end
     for (uint32_t i = 0; i < HARNESS_RECEIVERS; i++) {
         const struct e2e_checker *const checker = &receivers[i]->checker;
 

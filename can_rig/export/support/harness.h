@@ -8,10 +8,16 @@
 
 #define HARNESS_FRAME_BYTES (5u + FRAME_BYTES) /* identifier, low byte first; length; data */
 #define HARNESS_MOST_FRAMES 3
+/* The frames that a node receives: reference, feedback, speed and those of further sensors. */
 //: if hears
-#define HARNESS_RECEIVERS 3 /* the frames that a node receives */
+#define HARNESS_ALWAYS 3u
 //: else
-#define HARNESS_RECEIVERS 2 /* the frames that a node receives */
+#define HARNESS_ALWAYS 2u
+//: end
+//: if sensors
+#define HARNESS_RECEIVERS (HARNESS_ALWAYS + ECU_SENSORS)
+//: else
+#define HARNESS_RECEIVERS HARNESS_ALWAYS
 //: end
 #define HARNESS_COUNTS (HARNESS_RECEIVERS * E2E_STATUSES)
 
@@ -38,11 +44,7 @@ uint8_t harness_time(struct ecu *ecu, uint32_t now_us, uint8_t *sent);
 /* HARNESS_RECEIVERS, for who has only the library. */
 uint8_t harness_receivers(void);
 
-//: if hears
-/* How many frames of reference, feedback and speed, one after the other, had each e2e_status. */
-//: else
-/* How many frames of reference and feedback, one after the other, had each e2e_status. */
-//: end
+/* How many frames of each receiver, one after the other, had each e2e_status. */
 void harness_counts(const struct ecu *ecu, uint32_t counts[HARNESS_COUNTS]);
 
 #endif

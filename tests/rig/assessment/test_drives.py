@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -140,3 +141,28 @@ def test_every_car_of_the_box_is_made_once(monkeypatch: pytest.MonkeyPatch) -> N
     cars = [car for _, car in box_cars(scenario)]
     assert len(cars) == 40
     assert [made.count(car) for car in cars] == [1] * len(cars)
+
+
+class Breaks:
+    """A plant at rest that fails in its 900th step."""
+
+    def __init__(self, settings: object) -> None:
+        self.steps = 0
+
+    def reset(self) -> None:
+        pass
+
+    def advance(self, dt_s: float, command_1: float, command_2: float) -> float:
+        self.steps += 1
+        assert self.steps < 900
+        return 0.0
+
+
+def test_a_plant_that_fails_is_not_merely_away() -> None:
+    kind = f"{__name__}:Breaks"
+    scenario = load("ideal", [f"plant.kind={kind}"])
+    drives = Drives(scenario, network_of(scenario))
+    *_, finding = drives.findings("this car", scenario.plant, "torque dead")
+    said = re.fullmatch(rf"this car: healthy: {re.escape(kind)} fails at (\S+) s", str(finding))
+    assert said
+    assert float(said[1]) == pytest.approx(0.9, abs=0.01)
