@@ -49,7 +49,7 @@ from firmware_model.law.core.tracking import (
     settle_tracking,
     track_on,
 )
-from firmware_model.law.layout import precision_of
+from firmware_model.law.layout import State, precision_of
 from firmware_model.law.monitor import COMPENSATION_OFF, clear_monitor, watch
 from firmware_model.law.precision import real
 from firmware_model.law.status import Mode
@@ -131,7 +131,7 @@ from firmware_model.law.supervision.witness import (
 )
 
 if TYPE_CHECKING:
-    from firmware_model.law.layout import State, Table
+    from firmware_model.law.layout import Table
 
 
 MODE_STANDBY, MODE_SAFE_STOP = int(Mode.STANDBY), int(Mode.SAFE_STOP)
