@@ -39,6 +39,7 @@ LEAST, LARGEST = -(2**31), 2**31 - 1
 SETTLING: Final = 4  # passes until what still grows goes to infinity
 SMALL: Final = 1e15  # real numbers whose arithmetic gives no infinity and no NaN
 ROUNDING: Final = 1e-5  # relative, of real numbers in either precision
+UNDERFLOW: Final = 1.5e-45  # absolute
 
 OPPOSITE: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
     ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt,
@@ -47,6 +48,7 @@ OPPOSITE: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
 MIRRORED: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
     ast.Lt: ast.Gt, ast.LtE: ast.GtE, ast.Gt: ast.Lt, ast.GtE: ast.LtE,
 }  # fmt: skip
+NO_ASCII: Final = "must be a name in ASCII, as C has them"
 STEPS: Final = (np.rint, np.ceil)
 
 
@@ -71,8 +73,7 @@ def _check_names(typed: Typed) -> None:
     for node in ast.walk(typed.function.tree):
         name = str(getattr(node, "id", getattr(node, "attr", getattr(node, "arg", ""))))
         if not name.isascii():
-            what = f"{name}: must be a name in ASCII, as C has them"
-            raise typed.function.module.refuse(node, what)
+            raise typed.function.module.refuse(node, f"{name}: {NO_ASCII}")
 
 
 class _Proof:
@@ -88,6 +89,12 @@ class _Proof:
             if isinstance(node, ast.Assign | ast.AugAssign)
             for target, _ in _pairs(node)
             if isinstance(target, ast.Attribute)
+        }
+        self._changing = {
+            _field(node, typed)[1]
+            for typed in self._functions
+            for node in ast.walk(typed.function.tree)
+            if isinstance(node, ast.Attribute | ast.Subscript) and isinstance(node.ctx, ast.Store)
         }
         self.known: dict[Key, Range | None] = {}
         self.found: dict[Key, Range | None] = {}
@@ -127,11 +134,11 @@ class _Proof:
         self.found[key] = _around(found, self.found.get(key, found))
 
     def of_field(self, struct: CStruct, name: str) -> Range:
-        """As declared, or zero and all that is assigned; any number where neither says more."""
-        declared = next(each.range for each in struct.fields if each.name == name)
+        """Zero in memory that the program writes, and as declared, or else all that is assigned."""
         key = ("field", struct.tag, name)
-        assigned = self.known.get(key, (0, 0)) if key in self.written else ANY
-        return declared or _around((0, 0), assigned) or ANY
+        found = self.known.get(key, (0, 0)) if key in self.written else ANY
+        found = _declared(struct, name) or found
+        return (_around((0, 0), found) if struct.tag in self._changing else found) or ANY
 
 
 class _NotFollowedError(Exception):
@@ -226,7 +233,7 @@ class _Pass:
             owner = self._type_of(target.value)
             assert isinstance(owner, Record)
             self._proof.add(("field", owner.struct.tag, last), value or ANY)
-            least, largest = self._proof.of_field(owner.struct, last)
+            least, largest = _declared(owner.struct, last) or ANY
             if not least <= (value or ANY)[0] <= (value or ANY)[1] <= largest:
                 what = f"must be from {least:.0f} to {largest:.0f}"
                 self._refuse(target, f"{{}} can be beyond its declared range: {what}")
@@ -329,7 +336,8 @@ class _Pass:
     def _of_name(self, name: str, ranges: Ranges) -> Range | None:
         if name not in self._typed.names:
             value = self._module.lookup(name)
-            return (value, value) if isinstance(value, int | float) else None
+            known = isinstance(value, int | float) and not math.isnan(value)
+            return (value, value) if known else None
         return ranges.get(name, ANY if self._typed.names[name] is INT else None)
 
     def _of_path(self, node: ast.Attribute, ranges: Ranges) -> Range | None:
@@ -464,9 +472,18 @@ class _Pass:
         return {**ranges, ast.unparse(node): (least, largest)} if least <= largest else None
 
 
-def _field(target: ast.Attribute, typed: Typed) -> Key:
-    owner = typed.types[target.value]
-    return ("field", owner.struct.tag if isinstance(owner, Record) else "", target.attr)
+def _declared(struct: CStruct, name: str) -> Range | None:
+    return next(each.range for each in struct.fields if each.name == name)
+
+
+def _field(target: ast.Attribute | ast.Subscript, typed: Typed) -> Key:
+    while isinstance(target, ast.Subscript) and isinstance(
+        target.value, ast.Attribute | ast.Subscript
+    ):
+        target = target.value
+    owner = typed.types.get(target.value)
+    tag = owner.struct.tag if isinstance(owner, Record) else ""
+    return ("field", tag, getattr(target, "attr", ""))
 
 
 def _pairs(
@@ -531,7 +548,8 @@ def _extreme(pick: Callable[..., float], ranges: list[Range | None]) -> Range | 
 
 def _rounded(found: Range) -> Range:
     """The range of a real number after a rounding."""
-    return (found[0] - ROUNDING * abs(found[0]), found[1] + ROUNDING * abs(found[1]))
+    least, largest = (ROUNDING * abs(end) + UNDERFLOW for end in found)
+    return (found[0] - least, found[1] + largest)
 
 
 def _whole(end: float) -> float:
