@@ -12,7 +12,7 @@ import numpy as np
 from firmware_model.law import controller, schedule
 from firmware_model.law.core import biquad
 from firmware_model.law.layout import State, Table, precision_of
-from firmware_model.law.structs import RecordArray, fields_of, record_type, values
+from firmware_model.law.structs import Records, copied, fields_of, values, zeroed
 from firmware_model.law.supervision import further_sensors, verdict
 from firmware_model.law.supervision.knowledge import Saved, saved_in
 from firmware_model.law.supervision.lost_commands import act_first
@@ -33,7 +33,9 @@ class Answer(NamedTuple):
 Step = Callable[[float, float], tuple[float, float, float, int, int, int]]
 """From reference and measurement to what ``controller.step_first`` answers."""
 
-Memories = tuple[RecordArray, RecordArray, RecordArray, RecordArray]
+Memories = tuple[
+    "Records[schedule.Constants]", "Records[schedule.State]", "Records[Table]", "Records[State]"
+]
 """Constants and state of ``schedule``, table and state of ``controller``, each in an array."""
 
 Hear = Callable[[float, float, float], None]
@@ -48,13 +50,13 @@ CRC_BYTES: Final = 4
 class Law(Protocol):
     """The runnable control law."""
 
-    def init(self, table: Table) -> RecordArray:
+    def init(self, table: Table) -> Records[State]:
         """One state at rest, shape (1,); see ``controller.init``."""
 
-    def step_of(self, tables: RecordArray, states: RecordArray) -> Step:
+    def step_of(self, tables: Records[Table], states: Records[State]) -> Step:
         """Run ``controller.step`` on the first table and the first state of the arrays."""
 
-    def hear_of(self, tables: RecordArray, states: RecordArray) -> Hear:
+    def hear_of(self, tables: Records[Table], states: Records[State]) -> Hear:
         """``further_sensors.hear`` for the first table and the first state of the arrays."""
 
     def reset(self, table: Table, state: State, reference: float) -> None:
@@ -67,15 +69,15 @@ class Law(Protocol):
 class PythonLaw:
     """The lines of ``controller`` themselves, interpreted or compiled by numba."""
 
-    def init(self, table: Table) -> RecordArray:
+    def init(self, table: Table) -> Records[State]:
         """See ``Law``."""
         return controller.init(table)
 
-    def step_of(self, tables: RecordArray, states: RecordArray) -> Step:
+    def step_of(self, tables: Records[Table], states: Records[State]) -> Step:
         """See ``Law``."""
         return partial(controller.step_first, tables, states)
 
-    def hear_of(self, tables: RecordArray, states: RecordArray) -> Hear:
+    def hear_of(self, tables: Records[Table], states: Records[State]) -> Hear:
         """See ``Law``."""
         return partial(further_sensors.hear_first, tables, states)
 
@@ -119,18 +121,17 @@ class Firmware:
         self, table: Table, law: Law = PYTHON_LAW, speeds: schedule.Constants | None = None
     ) -> None:
         self._law = law
-        self._tables = np.zeros(1, table.dtype)
-        self._tables[0] = table
+        self._tables = copied(table)
         self._states = law.init(self._tables[0])
         self._first = self._states.view(np.uint8).copy()
         self._step = law.step_of(self._tables, self._states)
         self._hear = law.hear_of(self._tables, self._states)
-        self._motions = np.zeros(1, record_type(biquad.State, precision_of(table)))
+        self._motions = zeroed(biquad.State, precision_of(table))
         self._fingerprint = fingerprint(table, speeds)
         self._change_speed: ChangeSpeed | None = None
         if speeds is not None:
-            blending = np.zeros(1, record_type(schedule.State, precision_of(table)))
-            constants = np.array([speeds], speeds.dtype)
+            blending = zeroed(schedule.State, precision_of(table))
+            constants = copied(speeds)
             self._memories = (constants, blending, self._tables, self._states)  # C has addresses
             self._change_speed = law.change_speed_of(self._memories)
 

@@ -6,15 +6,14 @@ import ctypes
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from can_rig.errors import ExportError
 from can_rig.export.compiler import loaded, shared_library
 from can_rig.export.law import CHANGE_SPEED, ENTRIES, HEAR, law_files
 from firmware_model.firmware import ChangeSpeed, Hear, Memories, Step
-from firmware_model.law.layout import State, Table, precision_of, state_type
-from firmware_model.law.structs import Precision, RecordArray, Struct
+from firmware_model.law.layout import State, Table, precision_of
+from firmware_model.law.structs import Precision, Records, zeroed
 
 
 class CompiledLaw:
@@ -53,17 +52,17 @@ class CompiledLaw:
         if changes_speed:
             self._change_speed = function(f"schedule_{CHANGE_SPEED}", 4, 1)
 
-    def init(self, table: Table) -> RecordArray:
+    def init(self, table: Table) -> Records[State]:
         """A state at rest, shape (1,)."""
         if precision_of(table) != self._precision:
             raise ExportError(
                 f"a table of {precision_of(table)}: must be {self._precision}, as the law is"
             )
-        states: RecordArray = np.zeros(1, state_type(self._precision))
+        states = zeroed(State, self._precision)
         self._start_up(_address(table), _address(states))
         return states
 
-    def step_of(self, tables: RecordArray, states: RecordArray) -> Step:
+    def step_of(self, tables: Records[Table], states: Records[State]) -> Step:
         """``controller.step``, bound to the table and the state."""
         step, memory = self._step, (_address(tables), _address(states))
         one, other, estimate, mode, fault_state = (
@@ -87,7 +86,7 @@ class CompiledLaw:
 
         return stepped
 
-    def hear_of(self, tables: RecordArray, states: RecordArray) -> Hear:
+    def hear_of(self, tables: Records[Table], states: Records[State]) -> Hear:
         """``further_sensors.hear``, bound to the table and the state."""
         return partial(self._hear, _address(tables), _address(states))
 
@@ -100,6 +99,6 @@ class CompiledLaw:
         return partial(self._change_speed, *map(_address, memories))
 
 
-def _address(memory: Struct) -> int:
+def _address(memory: Any) -> int:
     """Where a record lies, or the first of an array of them."""
     return int(memory.__array_interface__["data"][0])

@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -25,12 +25,14 @@ from firmware_model.law.status import FaultState, Mode, Verdict
 from firmware_model.law.structs import (
     FloatArray,
     Precision,
-    RecordArray,
+    Records,
     Struct,
     as_bytes,
+    copied,
     leaves,
     record_type,
     values,
+    zeroed,
 )
 from firmware_model.law.supervision.takeover import UNKNOWN
 
@@ -110,13 +112,13 @@ def known_answers(of: Scheduled, amplitude: float, hears: bool = False) -> Known
         hears: whether the controller hears ``_samples``.
     """
     precision = precision_of(of.table)
-    tables, blendings = (np.zeros(1, record_type(each, precision)) for each in (Table, Blending))
-    tables[0], states = of.table, PYTHON_LAW.init(of.table)
+    tables, blendings = copied(of.table), zeroed(Blending, precision)
+    states = PYTHON_LAW.init(of.table)
     step, plant = PYTHON_LAW.step_of(tables, states), _Plant(tables[0])
     change_speed, speeds = None, np.empty((TICKS, 0))
-    memory: list[tuple[type[Struct], RecordArray]] = [(State, states)]
+    memory: list[tuple[type[Struct], Records[Any]]] = [(State, states)]
     if of.schedule is not None:
-        schedules = np.array([of.schedule], of.schedule.dtype)
+        schedules = copied(of.schedule)
         change_speed = PYTHON_LAW.change_speed_of((schedules, blendings, tables, states))
         speeds = _speeds(of.schedule)
         memory += [(Table, tables), (Blending, blendings)]

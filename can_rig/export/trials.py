@@ -37,7 +37,7 @@ from can_rig.frames.network import Network, flagged
 from can_rig.scenario.sensor_settings import SAMPLE_TICKS
 from firmware_model.firmware import PYTHON_LAW, Law
 from firmware_model.law.core.biquad import output
-from firmware_model.law.layout import precision_of, state_type, table_type
+from firmware_model.law.layout import State, Table, precision_of
 from firmware_model.law.monitor import COMPENSATION_OFF, SWINGING
 from firmware_model.law.schedule import MAX_SPEEDS, Constants
 from firmware_model.law.schedule import State as BlendState
@@ -46,9 +46,10 @@ from firmware_model.law.structs import (
     MAX_LATENCY_TICKS,
     MAX_SECTIONS,
     FloatArray,
+    Of,
     Precision,
-    RecordArray,
-    record_type,
+    Records,
+    zeroed,
 )
 from firmware_model.law.supervision.covariance import LOSS_STATES
 from firmware_model.law.supervision.echoes import KEPT_TICKS, missing_command
@@ -202,7 +203,7 @@ def reals(
 
 
 def fill(
-    random: np.random.Generator, records: RecordArray, precision: Precision, even: bool
+    random: np.random.Generator, records: Records[Any], precision: Precision, even: bool
 ) -> None:
     """Randomise every real number of ``records``, shape (1,); some fields get special values."""
     fields = [*_real_fields(records.dtype)]
@@ -224,9 +225,9 @@ def _real_fields(dtype: np.dtype[Any], begin: int = 0) -> tuple[tuple[int, int],
 
 def random_table(
     random: np.random.Generator, precision: Precision, even: bool = False
-) -> RecordArray:
+) -> Records[Table]:
     """A table, shape (1,), with valid counts and indices, and some plausible numbers."""
-    tables = np.zeros(1, table_type(precision))
+    tables = zeroed(Table, precision)
     table: Any = tables[0]  # random numbers, of NumPy's types
     fill(random, tables, precision, even)
     make_plausible(random, table, even)
@@ -312,9 +313,9 @@ def make_plausible(random: np.random.Generator, table: Any, even: bool) -> None:
 
 def random_state(
     random: np.random.Generator, table: Any, precision: Precision, even: bool = False
-) -> RecordArray:
+) -> Records[State]:
     """A state for ``table``, shape (1,); of a few an index lies outside its array."""
-    states = np.zeros(1, state_type(precision))
+    states = zeroed(State, precision)
     state: Any = states[0]
     fill(random, states, precision, even)
     constants, estimator = table.estimator, state.estimator
@@ -412,8 +413,8 @@ class Drive:
         speeds: shape (ticks,).
     """
 
-    schedules: RecordArray
-    blendings: RecordArray
+    schedules: Records[Constants]
+    blendings: Records[BlendState]
     speeds: FloatArray
 
 
@@ -421,7 +422,7 @@ def random_drive(
     random: np.random.Generator, precision: Precision, ticks: int, even: bool = False
 ) -> Drive:
     """For a random table; ``even``: many numbers are equal."""
-    schedules = np.zeros(1, record_type(Constants, precision))
+    schedules = zeroed(Constants, precision)
     schedule: Constants = schedules[0]
     fill(random, schedules, precision, even)
     n = schedule.n = random.choice([1, 2, MAX_SPEEDS, *random.integers(1, MAX_SPEEDS + 1, 3)])
@@ -430,7 +431,7 @@ def random_drive(
         for name in schedules.dtype.names or ():
             if "turn" in name:
                 schedules[name] = np.clip(np.nan_to_num(schedules[name]), -2.0, 2.0)
-    blendings = np.zeros(1, record_type(BlendState, precision))
+    blendings = zeroed(BlendState, precision)
     fill(random, blendings, precision, even)
     blendings["place"] = random.choice([0.0, random.uniform(0.0, n - 1.0), n - 1.0])
     limits = np.finfo(precision)
@@ -459,8 +460,8 @@ class Trial:
         drive: blends the table before each tick; None: no blending.
     """
 
-    tables: RecordArray
-    states: RecordArray
+    tables: Records[Table]
+    states: Records[State]
     inputs: FloatArray
     samples: FloatArray
     drive: Drive | None = None
@@ -529,10 +530,11 @@ def encoded(trials: list[Trial]) -> bytes:
 def states_of(law: Law, trials: list[Trial]) -> Iterator[bytes]:
     """The law's answers to the trials: each state, followed by the blended table, if any."""
     for trial in trials:
-        tables, states = copied(trial.tables), copied(trial.states)
-        kept, change_speed = [states], None
+        tables, states = exactly(trial.tables), exactly(trial.states)
+        kept: list[Records[Any]] = [states]
+        change_speed = None
         if trial.drive is not None:
-            schedules, blendings = trial.drive.schedules, copied(trial.drive.blendings)
+            schedules, blendings = trial.drive.schedules, exactly(trial.drive.blendings)
             kept += [tables, blendings]
             change_speed = law.change_speed_of((schedules, blendings, tables, states))
         step, hear = law.step_of(tables, states), law.hear_of(tables, states)
@@ -550,7 +552,7 @@ def states_of(law: Law, trials: list[Trial]) -> Iterator[bytes]:
         yield started + b"".join(each.tobytes() for each in kept[1:])
 
 
-def copied(memory: RecordArray) -> RecordArray:
+def exactly(memory: Records[Of]) -> Records[Of]:
     """A copy that includes the padding between fields."""
     copy = memory.copy()
     copy.view(np.uint8)[:] = memory.view(np.uint8)

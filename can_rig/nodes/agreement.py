@@ -9,7 +9,8 @@ digests and ends alone.
 
 Each announcement also asks for nodes of the same kind: a bus has one plant and one controller. A
 node that hears such a question answers; before its first tick the node then ends, as does the node
-that asked. A rig on a bus that others can join asks before the rig starts, and answers while it
+that asked. A controller node by hand in lockstep listens first, and sends no frame beside another
+controller. A rig on a bus that others can join asks before the rig starts, and answers while it
 runs. A random number tells a question of another node from the own one that the bus brings back.
 
 A partner that announces no digest, such as a replayed log, is accepted. Neither these
@@ -21,7 +22,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -30,6 +31,7 @@ import can
 
 from can_rig.buses.bus import in_one_process, open_for_node
 from can_rig.errors import BusError, ScenarioError
+from can_rig.frames.codec import MessageCodec
 from can_rig.frames.comparison_frames import (
     ASKED,
     PRESENT,
@@ -60,6 +62,9 @@ ANSWERED_S: Final = 0.5
 
 ASK_AGAIN_S: Final = 0.05
 """How soon the rig asks again: the nodes of another rig that is starting hear no question yet."""
+
+QUIET_S: Final = 0.05
+"""A run at work is never silent for so long, unless paused."""
 
 BUSY_S: Final = 2.0
 """How long the rig waits where frames of a rig are on the bus: a busy machine answers late."""
@@ -189,10 +194,28 @@ class Agreement:
         if said.key == ASKED:  # an answer to an answer would never end
             self._put(Comparison(PRESENT, self._number))
         if not self.settled:
-            raise BusError(
-                f"another {self._name} node is on {self.channel_info or 'this bus'}; "
-                f"a bus has one, so end the other or name another bus with --bus"
-            )
+            raise self._another()
+
+    def _another(self) -> BusError:
+        return BusError(
+            f"another {self._name} node is on {self.channel_info or 'this bus'}; "
+            f"a bus has one, so end the other or name another bus with --bus"
+        )
+
+    def listen(self, own: Collection[MessageCodec]) -> None:
+        """Listen before the first frame, until the bus is quiet.
+
+        Args:
+            own: the frames that this node alone may send.
+
+        Raises:
+            BusError: another node of the same kind is at work.
+        """
+        end_ns = self._clock.now_ns() + round(ANSWERED_S * NS_PER_S)
+        identifiers = {(codec.frame_id, codec.extended) for codec in own}
+        while self._clock.now_ns() < end_ns and (message := self.recv(QUIET_S)) is not None:
+            if (message.arbitration_id, message.is_extended_id) in identifiers:
+                raise self._another()
 
     def _hear(self, said: Comparison) -> None:
         if said.key >= len(self._digests):

@@ -165,6 +165,8 @@ def run_controller(
         _open(bus_name, scenario, "controller", False, options) as opened,
         ExitStack() as stack,
     ):
+        if isinstance(opened, Agreement) and not (options.real_time or opened.settled):
+            opened.listen((network.command_1, network.command_2, network.status))
         access = _access(opened, options)
         node: ControllerNode | EcuNode | RealTimeControllerNode
         if options.real_time:

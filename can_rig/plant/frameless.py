@@ -39,7 +39,8 @@ from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import LoopPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law import controller
-from firmware_model.law.structs import FloatArray, RecordArray
+from firmware_model.law.layout import State
+from firmware_model.law.structs import FloatArray, Records
 from firmware_model.law.supervision.takeover import UNKNOWN
 
 
@@ -73,7 +74,7 @@ class Common:
     undisturbed: Scenario
     network: Network
     of: Scheduled | None
-    at_rest: RecordArray | None
+    at_rest: Records[State] | None
     plant: SampledPlant | None
     quiet: Inputs
 
@@ -223,7 +224,7 @@ def simulation(
     of: Scheduled | None,
     inputs: Inputs,
     keeps_states: bool = False,
-    at_rest: RecordArray | None = None,
+    at_rest: Records[State] | None = None,
 ) -> Simulation:
     """``scenario`` without a bus, at rest; for the arguments see ``frameless``, ``Simulation``."""
     hears = bool(scenario.heard) if of is not None else bool(network.witnesses)
@@ -255,7 +256,7 @@ def simulation(
     )
 
 
-def powered_up(of: Scheduled) -> RecordArray:
+def powered_up(of: Scheduled) -> Records[State]:
     """The state of a controller after power-up: the plant may move already."""
     state = controller.init(of.table)
     state["takeover"]["pending"] = UNKNOWN

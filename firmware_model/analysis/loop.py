@@ -8,7 +8,8 @@ from firmware_model.analysis import hardware
 from firmware_model.analysis.sampled_plant import follow
 from firmware_model.compiled import firmware, firmware_run
 from firmware_model.law import controller
-from firmware_model.law.structs import RecordArray
+from firmware_model.law.layout import State, Table
+from firmware_model.law.structs import Records
 
 OUTPUT, MEASURED, COMMAND_1, COMMAND_2, ESTIMATE, EVIDENCE = range(6)
 ACTING_1, REACHED_1, READING, ROWS = 6, 8, 10, 11  # rows of a tick; two of the first two
@@ -16,8 +17,8 @@ ACTING_1, REACHED_1, READING, ROWS = 6, 8, 10, 11  # rows of a tick; two of the 
 
 @firmware
 def tick(
-    tables: RecordArray,
-    controllers: RecordArray,
+    tables: Records[Table],
+    controllers: Records[State],
     inputs: Any,
     grid: Any,
     actuators: Any,
@@ -114,8 +115,8 @@ def carry(
 
 @firmware_run
 def run_ticks(
-    tables: RecordArray,
-    controllers: RecordArray,
+    tables: Records[Table],
+    controllers: Records[State],
     inputs: Any,
     grid: Any,
     actuators: Any,

@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,9 +38,9 @@ from firmware_model.design.plants import Plant
 from firmware_model.discretisation.sections import ComplexArray
 from firmware_model.errors import ParameterError
 from firmware_model.law import controller
-from firmware_model.law.layout import Table, table_type
+from firmware_model.law.layout import State, Table
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import FloatArray, RecordArray
+from firmware_model.law.structs import FloatArray, Records, zeroed
 
 
 def lumps(a: FloatArray, b: FloatArray) -> NDArray[np.int_]:
@@ -294,11 +295,12 @@ def reaching(a: FloatArray, row: FloatArray) -> NDArray[np.bool_]:
         reaches = wider
 
 
-def field_of(states: RecordArray, path: tuple[str, ...]) -> RecordArray:
+def field_of(states: Records[State], path: tuple[str, ...]) -> Any:
     """A view of the field at ``path`` in all ``states``."""
+    found: Any = states
     for name in path:
-        states = states[name]
-    return states
+        found = found[name]
+    return found
 
 
 def memories_of(table: Table) -> list[Memory]:
@@ -332,9 +334,9 @@ def memories_of(table: Table) -> list[Memory]:
     return memories
 
 
-def without_limits(table: Table, n: int) -> RecordArray:
+def without_limits(table: Table, n: int) -> Records[Table]:
     """``n`` linear copies of ``table`` in float64."""
-    tables = np.zeros(n, table_type())
+    tables = zeroed(Table, "float64", n)
     tables[:] = np.array(table)
     for actuator in ("actuator_1", "actuator_2"):
         tables[actuator]["limit"] = tables[actuator]["slew"] = math.inf

@@ -37,10 +37,10 @@ from firmware_model.analysis.loop import (
 from firmware_model.analysis.sampled_plant import AnyPlant, SampledPlant, follow
 from firmware_model.analysis.world_loop import run_changing
 from firmware_model.law import controller as law
-from firmware_model.law.layout import Table, precision_of, table_type
+from firmware_model.law.layout import State, Table, precision_of, table_type
 from firmware_model.law.schedule import Constants, change_first_speed
 from firmware_model.law.schedule import State as BlendState
-from firmware_model.law.structs import BoolArray, FloatArray, RecordArray, record_type
+from firmware_model.law.structs import BoolArray, FloatArray, Records, copied, zeroed
 from firmware_model.law.supervision.further_sensors import hear_first
 from firmware_model.law.supervision.knowledge import saved_in
 
@@ -181,7 +181,7 @@ class Simulation:
         resolution: float = 0.0,
         frames: FloatArray = hardware.EXACT_FRAMES,
         keeps_states: bool = False,
-        at_rest: RecordArray | None = None,
+        at_rest: Records[State] | None = None,
         hears: Hears | None = None,
         restarts: Sequence[tuple[int, int, bool]] = (),
     ) -> None:
@@ -208,10 +208,11 @@ class Simulation:
         )
         self._hears = hears
         self._restarts = tuple(restarts)
-        tables = np.asarray(table).reshape(1)
+        fixed = cast("Records[Table]", np.asarray(table).reshape(1))
+        own = state.view(np.uint8).copy().view(state.dtype)  # a copy field by field is slow
         self._loop = (
-            tables if schedule is None else np.array([table], table.dtype),  # changed later
-            state.view(np.uint8).copy().view(state.dtype),  # a copy field by field is slow
+            fixed if schedule is None else copied(table),  # changed later
+            cast("Records[State]", own),
             self.inputs,
             (float(resolution), frames),
             (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(3), limits, faults),
@@ -220,8 +221,8 @@ class Simulation:
         changes = schedule is not None or self._other is not None
         self._speed = speed.tolist() if changes and speed is not None else None
         if schedule is not None:
-            blending = np.zeros(1, record_type(BlendState, precision_of(table)))
-            self._speeds = (np.array([schedule], schedule.dtype), blending, *self._loop[:2])
+            blending = zeroed(BlendState, precision_of(table))
+            self._speeds = (copied(schedule), blending, *self._loop[:2])
         self._output = (0.0, 0.0)  # output of the plant at rest, and the sensor's reading
         self._memory: Any = ()
         self.plant_states = np.zeros((0, 0))

@@ -34,7 +34,7 @@ from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law import controller
 from firmware_model.law.layout import Table, precision_of
 from firmware_model.law.schedule import State, change_first_speed
-from firmware_model.law.structs import FloatArray, record_type
+from firmware_model.law.structs import FloatArray, copied, zeroed
 
 BETWEEN = 4  # speeds of the grid for each interval between two designs
 
@@ -152,8 +152,8 @@ def _moved(
     """The table at the speed ``after``, and ``memories`` carried from ``before`` to ``after``."""
     assert of.schedule is not None
     precision = precision_of(of.table)
-    schedules = np.array([of.schedule], of.schedule.dtype)
-    tables, owns = np.array([of.table], of.table.dtype), np.zeros(1, record_type(State, precision))
+    schedules, tables = copied(of.schedule), copied(of.table)
+    owns = zeroed(State, precision)
     states = controller.init(tables[0])
     change_first_speed(schedules, owns, tables, states, before)
     places = memories_of(of.table) if len(memories) else []

@@ -31,7 +31,13 @@ from firmware_model.discretisation.systems import (
 from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import ParameterError
 from firmware_model.law.core import biquad
-from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Precision, RecordArray, record_type
+from firmware_model.law.structs import (
+    MAX_SECTIONS,
+    FloatArray,
+    Precision,
+    Records,
+    zeroed,
+)
 
 KEYWORDS: Final = """
     auto break case char const continue default do double else enum extern float for goto if inline
@@ -232,14 +238,14 @@ class Filter:
         self.rule = rule
         self.prewarp_rad_per_s = prewarp_rad_per_s
         self.precision = precision
-        self._cascades = np.zeros(1, record_type(biquad.Constants, precision))
+        self._cascades = zeroed(biquad.Constants, precision)
         self._cascades["n"] = len(stored)
         self._cascades["coefficients"][0, : len(stored)] = stored
         self._cascades.flags.writeable = False
         self.cascade: biquad.Constants = self._cascades[
             0
         ]  # a record taken earlier could still be written
-        self._states = np.zeros(1, record_type(biquad.State, precision))
+        self._states = zeroed(biquad.State, precision)
 
     def in_precision(self, precision: Precision) -> Filter:
         """The same filter at rest, stored and computed in ``precision``.
@@ -657,7 +663,9 @@ def _require_precision(precision: object) -> None:
 
 
 @compiled
-def _run(cascades: RecordArray, states: RecordArray, u: FloatArray, y: FloatArray) -> None:
+def _run(
+    cascades: Records[biquad.Constants], states: Records[biquad.State], u: FloatArray, y: FloatArray
+) -> None:
     for k in range(len(u)):
         y[k] = biquad.advance(cascades[0], states[0], u[k])
 

@@ -16,7 +16,7 @@ from firmware_model.discretisation.held_input import sampled, zeros_of
 from firmware_model.discretisation.sections import ComplexArray, Sections
 from firmware_model.discretisation.systems import Polynomials, StateSpace
 from firmware_model.law.core import biquad
-from firmware_model.law.structs import FloatArray, Precision, RecordArray, record_type
+from firmware_model.law.structs import FloatArray, Precision, Records, zeroed
 
 ROUNDING: dict[Precision, float] = {"float64": 2.0**-53, "float32": 2.0**-24}
 """Relative error of one rounding."""
@@ -169,10 +169,10 @@ def _sums(coefficients: FloatArray, ticks: int, impulse_at: int | None) -> Float
     """
     if not len(coefficients):
         return np.array([1.0, 0.0, 0.0])
-    cascades = np.zeros(1, record_type(biquad.Constants, "float64"))
+    cascades = zeroed(biquad.Constants, "float64")
     cascades[0].n = len(coefficients)
     cascades[0].coefficients[: len(coefficients)] = coefficients
-    states = np.zeros(1, record_type(biquad.State, "float64"))
+    states = zeroed(biquad.State, "float64")
     if impulse_at is not None:
         states[0].accumulators[0, impulse_at] = 1.0
     sums = np.zeros(3)
@@ -182,7 +182,11 @@ def _sums(coefficients: FloatArray, ticks: int, impulse_at: int | None) -> Float
 
 @compiled
 def _add_magnitudes(
-    cascades: RecordArray, states: RecordArray, u: float, ticks: int, sums: FloatArray
+    cascades: Records[biquad.Constants],
+    states: Records[biquad.State],
+    u: float,
+    ticks: int,
+    sums: FloatArray,
 ) -> None:
     last = cascades[0].n - 1
     for _ in range(ticks):

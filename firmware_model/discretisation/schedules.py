@@ -24,7 +24,7 @@ from firmware_model.discretisation.tustin import DELTA_ROOTS, bilinear
 from firmware_model.errors import DesignError, ParameterError, UnstablePlantError
 from firmware_model.law.layout import Table
 from firmware_model.law.schedule import MAX_SPEEDS, Constants
-from firmware_model.law.structs import record_type
+from firmware_model.law.structs import zeroed
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def schedule(designs: Sequence[AtSpeed]) -> Scheduled:
                     "be stable at every speed"
                 )
     tables = [build(each.design, each.target) for each in designs]
-    made = np.zeros(1, record_type(Constants, designs[0].target.precision))[0]
+    made = zeroed(Constants, designs[0].target.precision)[0]
     made.n = len(designs)
     made.speed[: made.n] = [each.speed_mps for each in designs]
     filters = _filters(designs)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import reduce
+from typing import Any, cast
 
 import numpy as np
 
@@ -25,8 +26,8 @@ from firmware_model.discretisation.whitening import Whitening, whitening
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.law.core import biquad
 from firmware_model.law.core.estimator import Constants as EstimatorConstants
-from firmware_model.law.layout import Table, table_type
-from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, ranges_of
+from firmware_model.law.layout import Table
+from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, ranges_of, zeroed
 from firmware_model.law.supervision import whitener
 from firmware_model.law.supervision.covariance import LOSS_STATES, MAX_DIRECTIONS
 from firmware_model.law.supervision.echoes import Constants as EchoesConstants
@@ -249,7 +250,7 @@ def build(design: ContinuousDesign, target: Target) -> Table:
             f"the algebraic loop d̂ → u2 → d̂ has gain {loop_gain:.3g} at tick_s = "
             f"{target.tick_s:g}: must be below 1; a held-input estimator has no such loop"
         )
-    tables = np.zeros(1, table_type(target.precision))
+    tables = zeroed(Table, target.precision)
     table = tables[0]
     table.supervised = target.supervised
     _fill_loop(table, design, target, filters, dead)
@@ -278,7 +279,7 @@ def build(design: ContinuousDesign, target: Target) -> Table:
     table.safe_stop.duration = math.ceil(target.safe_stop_s / target.tick_s)
     table.safe_stop.certain = math.ceil(POWERLESS_S / target.tick_s)
     for path, (least, largest) in ranges_of(Table).items():
-        value = reduce(getattr, path, table)
+        value = reduce(getattr, path, cast(Any, table))
         if not least <= value <= largest:
             what = f"{'.'.join(path)} is {value}: must be from {least} to {largest}"
             raise DesignError(f"table of the controller: {what}")

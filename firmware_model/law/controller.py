@@ -26,8 +26,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from firmware_model.compiled import firmware
 from firmware_model.law.core.actuator import quantise, saturate
 from firmware_model.law.core.biquad import advance, settle
@@ -51,11 +49,11 @@ from firmware_model.law.core.tracking import (
     settle_tracking,
     track_on,
 )
-from firmware_model.law.layout import precision_of, state_type
+from firmware_model.law.layout import State, precision_of
 from firmware_model.law.monitor import COMPENSATION_OFF, clear_monitor, watch
 from firmware_model.law.precision import real
 from firmware_model.law.status import Mode
-from firmware_model.law.structs import RecordArray
+from firmware_model.law.structs import Records, zeroed
 from firmware_model.law.supervision.bumpless_transfer import release, transfer
 from firmware_model.law.supervision.corroboration import settle_corroboration
 from firmware_model.law.supervision.decision import (
@@ -133,15 +131,15 @@ from firmware_model.law.supervision.witness import (
 )
 
 if TYPE_CHECKING:
-    from firmware_model.law.layout import State, Table
+    from firmware_model.law.layout import Table
 
 
 MODE_STANDBY, MODE_SAFE_STOP = int(Mode.STANDBY), int(Mode.SAFE_STOP)
 
 
-def init(table: Table, n: int = 1) -> RecordArray:
+def init(table: Table, n: int = 1) -> Records[State]:
     """``n`` states at rest for ``table``, in its precision: every memory zero, mode STANDBY."""
-    states: RecordArray = np.zeros(n, state_type(precision_of(table)))
+    states = zeroed(State, precision_of(table), n)
     for state in states:
         start_up(table, state)
     return states
@@ -424,7 +422,9 @@ def settle_loop(table: Table, state: State, target: float) -> None:
 
 
 @firmware
-def step_many(tables: RecordArray, states: RecordArray, references: Any, measurements: Any) -> None:
+def step_many(
+    tables: Records[Table], states: Records[State], references: Any, measurements: Any
+) -> None:
     """``step`` for each of n controllers: record arrays (n,), reference and measurement (n,)."""
     for i in range(len(states)):
         step(tables[i], states[i], references[i], measurements[i])
@@ -432,7 +432,7 @@ def step_many(tables: RecordArray, states: RecordArray, references: Any, measure
 
 @firmware
 def step_first(
-    tables: RecordArray, states: RecordArray, reference: float, measurement: float
+    tables: Records[Table], states: Records[State], reference: float, measurement: float
 ) -> tuple[float, float, float, int, int, int]:
     """Run ``step`` for the first controller and return its answers.
 

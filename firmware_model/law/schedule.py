@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
-from firmware_model.law.structs import MAX_SECTIONS, FloatArray, RecordArray, Struct
+from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Records, Struct
 from firmware_model.law.supervision.overflow import is_damaged
 
 if TYPE_CHECKING:
@@ -130,10 +130,10 @@ def note_speed(state: layout.State, speed: float, lowest: float) -> None:
 
 @firmware
 def change_first_speed(
-    schedules: RecordArray,
-    owns: RecordArray,
-    tables: RecordArray,
-    states: RecordArray,
+    schedules: Records[Constants],
+    owns: Records[State],
+    tables: Records[Table],
+    states: Records[layout.State],
     speed: float,
 ) -> None:
     """``change_speed`` for the first of the controllers; see ``controller.step_first``."""

@@ -13,10 +13,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, cast, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Generic,
+    Literal,
+    Self,
+    TypeVar,
+    cast,
+    get_type_hints,
+    overload,
+)
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 MAX_SECTIONS = 8  # of each filter: order 16
 MAX_LATENCY_TICKS = 64
@@ -26,8 +36,6 @@ MAX_SHOWN_TICKS = 2 * MAX_LATENCY_TICKS  # of the bus, and of a dead time
 Precision = Literal["float64", "float32"]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-RecordArray = Any  # an array of records, shape (n,)
-
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -73,6 +81,50 @@ class Struct:
 
         def __setitem__(self, name: str, value: object) -> None:
             """Write the field called ``name``."""
+
+
+Of = TypeVar("Of", bound=Struct)
+
+if TYPE_CHECKING:
+
+    class Records(Generic[Of]):
+        """An array of records of a declaration, shape (n,), as a type checker sees the array."""
+
+        dtype: np.dtype[np.void]
+        itemsize: int
+        flags: Any
+
+        def __len__(self) -> int:
+            """How many."""
+
+        def __iter__(self) -> Iterator[Of]:
+            """Each record, in the memory of the array."""
+
+        @overload
+        def __getitem__(self, at: int) -> Of: ...
+        @overload
+        def __getitem__(self, at: str) -> Any: ...
+        def __getitem__(self, at: int | str) -> Any:
+            """One record, or a field of all, in the memory of the array."""
+
+        def __setitem__(self, at: int | slice | str, record: object) -> None:
+            """Overwrite a record, or a field of all."""
+
+        def copy(self) -> Records[Of]:
+            """Independent records."""
+
+        def view(self, kind: DTypeLike) -> NDArray[Any]:
+            """The memory of the array as numbers of one kind."""
+
+        def tobytes(self) -> bytes:
+            """The memory, with its padding."""
+
+        @property
+        def __array_interface__(self) -> dict[str, Any]:
+            """The address and the layout."""
+
+else:
+    Records = np.ndarray
 
 
 @dataclass(frozen=True)
@@ -145,6 +197,16 @@ def struct_type(struct: type[Struct], precision: Precision) -> np.dtype[np.void]
 def record_type(struct: type[Struct], precision: Precision) -> np.dtype[np.void]:
     """``struct_type`` with members (nested members too) readable and writable as attributes."""
     return np.dtype((np.record, struct_type(struct, precision)))
+
+
+def zeroed(struct: type[Of], precision: Precision, n: int = 1) -> Records[Of]:
+    """``n`` records of zeros, which read and write as ``record_type`` says."""
+    return cast("Records[Of]", np.zeros(n, record_type(struct, precision)))
+
+
+def copied(record: Of) -> Records[Of]:
+    """A copy of one record, in an array."""
+    return cast("Records[Of]", np.array([record], record.dtype))
 
 
 def leaves(

@@ -17,7 +17,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.layout import precision_of
 from firmware_model.law.schedule import State, change_speed
-from firmware_model.law.structs import record_type
+from firmware_model.law.structs import zeroed
 
 TICK_S = 1e-3
 LAGS = (Stage(0.005), Stage(0.015), IDEAL)
@@ -55,7 +55,7 @@ class Blended:
         self.schedule = of.schedule
         self.table = np.array([of.table])[0]
         self.state = controller.init(self.table)[0]
-        self.own = np.zeros(1, record_type(State, precision_of(of.table)))[0]
+        self.own = zeroed(State, precision_of(of.table))[0]
 
     def to(self, speed: float) -> None:
         change_speed(self.schedule, self.own, self.table, self.state, speed)

@@ -1,5 +1,7 @@
 """A controller as one object: its commands, and the commands that came too late."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -68,7 +70,7 @@ def test_a_lost_channel_owes_what_it_was_told_in_time(latency, known):
     firmware, constants = Firmware(table(latency)), table(latency).estimator
     state, sent = firmware._states[0], [30.0, -40.0, 55.0][:latency]
     state.fault_state = known
-    owing = [state.sequential_test, state.loss_model]
+    owing: list[Any] = [state.sequential_test, state.loss_model]
     for k, command in enumerate(sent):
         state.estimator.delay_1[k] = command
         for each in owing:

@@ -141,8 +141,10 @@ static void take_sample(struct ecu *ecu, uint32_t at, uint8_t length, const uint
     struct frame_content content;
 
     if (receive(&sensor->receiver, &of->frame, ecu->tick, length, data, &content)) {
+        const uint32_t age = (ecu->tick - content.verdict) & of->largest;
+
         sensor->value = content.mode == of->valid ? content.value : (real)NAN;
-        sensor->age = (real)((ecu->tick - content.verdict) & of->largest);
+        sensor->age = (real)age;
     }
 }
 

@@ -12,10 +12,14 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import numpy as np
-
 from firmware_model.compiled import firmware
-from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Precision, Struct, record_type
+from firmware_model.law.structs import (
+    MAX_SECTIONS,
+    FloatArray,
+    Precision,
+    Struct,
+    zeroed,
+)
 
 
 class Constants(Struct):
@@ -35,7 +39,7 @@ class State(Struct):
 
 def at_rest(precision: Precision = "float64") -> State:
     """Return the state of a cascade at rest, for a cascade outside the law."""
-    state: State = np.zeros(1, record_type(State, precision))[0]
+    state: State = zeroed(State, precision)[0]
     return state
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
-from firmware_model.law.structs import RecordArray
+from firmware_model.law.structs import Records
 from firmware_model.law.supervision.echoes import KEPT_TICKS, take_echo
 from firmware_model.law.supervision.overflow import is_damaged
 from firmware_model.law.supervision.witness import take_sample
@@ -45,7 +45,11 @@ def hear(table: Table, state: layout.State, sensor: float, value: float, age_tic
 
 @firmware
 def hear_first(
-    tables: RecordArray, states: RecordArray, sensor: float, value: float, age_ticks: float
+    tables: Records[Table],
+    states: Records[layout.State],
+    sensor: float,
+    value: float,
+    age_ticks: float,
 ) -> None:
     """``hear`` for the first of the controllers; see ``controller.step_first``."""
     hear(tables[0], states[0], sensor, value, age_ticks)

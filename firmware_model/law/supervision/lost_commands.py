@@ -12,7 +12,7 @@ from firmware_model.compiled import firmware
 from firmware_model.law.core.biquad import advance
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import MAX_SECTIONS, RecordArray
+from firmware_model.law.structs import MAX_SECTIONS, Records
 
 if TYPE_CHECKING:
     from firmware_model.law.core import biquad
@@ -85,9 +85,9 @@ def lose_command_2(table: Table, state: State, motion: biquad.State, lost: float
 
 @firmware
 def act_first(
-    tables: RecordArray,
-    states: RecordArray,
-    motions: RecordArray,
+    tables: Records[Table],
+    states: Records[State],
+    motions: Records[biquad.State],
     command_1: float,
     command_2: float,
 ) -> None:

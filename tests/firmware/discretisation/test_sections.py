@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from firmware_model.discretisation.sections import Sections, from_delta_zpk, realisation
 from firmware_model.law.core import biquad
-from firmware_model.law.structs import record_type
+from firmware_model.law.structs import zeroed
 
 coefficient = st.sampled_from([0.0, 0.5, -0.7, 1.0, 2.0])
 row = st.tuples(*[coefficient] * 5)
@@ -85,7 +85,7 @@ def test_standard_sections_are_the_same_fractions(row: tuple[float, ...]) -> Non
 def test_the_realisation_has_the_accumulators_that_leave_zero(row: tuple[float, ...]) -> None:
     """In a run of the firmware's cascade, of which this is the second section."""
     rows = np.array([[0.5, 0.3, 0.0, 0.2, 0.0], [0.5, *row]])
-    cascade = np.zeros(1, record_type(biquad.Constants, "float64"))[0]
+    cascade = zeroed(biquad.Constants, "float64")[0]
     cascade.n, cascade.coefficients[:2] = 2, rows
     state = biquad.at_rest("float64")
     for u in (1.0, 0.3, -0.7):

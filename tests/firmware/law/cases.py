@@ -13,7 +13,7 @@ from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.mismatch import Channels, Mismatch, principal_mismatch
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.vehicle import VehicleParameters
-from firmware_model.law.structs import FloatArray, RecordArray
+from firmware_model.law.structs import FloatArray, Records
 from firmware_model.law.supervision.covariance import MAX_DIRECTIONS, MAX_STATES
 
 NOMINAL = VehicleParameters()
@@ -49,7 +49,7 @@ def other_cars(parameters: int = 3) -> Mismatch:
     return principal_mismatch(channels_at, parameters, 0.05, 1, MAX_DIRECTIONS)
 
 
-def changed(table: Any, **numbers: dict[str, Any]) -> RecordArray:
+def changed(table: Any, **numbers: dict[str, Any]) -> Records[Any]:
     """A copy, shape (1,), with other numbers: ``decision={"confirm": 4.0}``."""
     tables = np.zeros(1, table.dtype)
     tables[0] = table

@@ -11,20 +11,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_model.law.core.actuator import Constants, State, quantise, saturate, saturate_rate
-from firmware_model.law.structs import record_type
+from firmware_model.law.structs import zeroed
 
 some = st.floats(-1e3, 1e3)
 size = st.floats(1e-3, 1e3)  # of a limit
 
 
 def actuator(limit: float = math.inf, slew: float = math.inf, lsb: float = 0.0) -> Any:
-    made = np.zeros(1, record_type(Constants, "float64"))[0]
+    made = zeroed(Constants, "float64")[0]
     made.limit, made.slew, made.lsb = limit, slew, lsb
     return made
 
 
 def at_rest() -> Any:
-    return np.zeros(1, record_type(State, "float64"))[0]
+    return zeroed(State, "float64")[0]
 
 
 @given(some, size)

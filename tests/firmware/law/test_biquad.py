@@ -21,7 +21,7 @@ from firmware_model.law.core.biquad import (
     output,
     settle,
 )
-from firmware_model.law.structs import MAX_SECTIONS, Precision, record_type
+from firmware_model.law.structs import MAX_SECTIONS, Precision, zeroed
 
 CAR = steer_by_wire()
 FILTERS = {
@@ -34,7 +34,7 @@ FILTERS = {
 
 
 def cascade_of(coefficients: np.ndarray) -> Any:
-    cascade = np.zeros(1, record_type(Constants, "float64"))[0]
+    cascade = zeroed(Constants, "float64")[0]
     cascade.n = len(coefficients)
     cascade.coefficients[: cascade.n] = coefficients
     return cascade

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from firmware_model.law.structs import Precision, record_type
+from firmware_model.law.structs import Precision, zeroed
 from firmware_model.law.supervision import covariance
 from firmware_model.law.supervision.covariance import (
     LOSS_STATES,
@@ -37,7 +37,7 @@ VARIANCES = np.array([1.0, 2.0, 0.5, 0.0, 0.3, 4.0, 0.7])
 
 
 def begun(precision: Precision = "float64", variances: Any = VARIANCES) -> Any:
-    state = np.zeros(1, record_type(covariance.State, precision))[0]
+    state = zeroed(covariance.State, precision)[0]
     state.variances[:] = variances
     return state
 

@@ -14,7 +14,8 @@ from scipy import optimize, signal, stats
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.structs import FloatArray, RecordArray
+from firmware_model.law.layout import Table
+from firmware_model.law.structs import FloatArray, Records
 from firmware_model.law.supervision.candidate import (
     likeliest,
     take_in,
@@ -31,7 +32,7 @@ from tests.firmware.law.cases import CAR, DESIGN, TICK_S, changed, other_cars
 TICKS = 60
 
 
-def tables_of(**changes: Any) -> RecordArray:
+def tables_of(**changes: Any) -> Records[Table]:
     target = Target(TICK_S, 1, "zoh", noise_rms=0.01, **changes)
     never = {"restart": -math.inf, "lifetime": math.inf}
     tables = changed(build(DESIGN, target))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from firmware_model.law.layout import State, Table, precision_of, state_type, table_type
-from firmware_model.law.structs import Field, Struct, fields_of
+from firmware_model.law.structs import Field, Struct, fields_of, zeroed
 
 UNITS = {"1", "tick", "y", "u1", "u2", "command", "output", "input", "m", "s", "rad"}
 TYPES = {"table": (Table, table_type), "state": (State, state_type)}
@@ -84,7 +84,7 @@ def test_no_field_hides_an_attribute_of_a_record(which: str) -> None:
 
 
 def test_a_nested_field_is_written_in_place() -> None:
-    state = np.zeros(1, state_type())[0]
+    state = zeroed(State, "float64")[0]
     state.reference_shaper.shaped = 2.0
     state.estimator.channel_1.accumulators[1, 0] = 3.0
     assert state["reference_shaper"]["shaped"] == 2.0
@@ -93,4 +93,4 @@ def test_a_nested_field_is_written_in_place() -> None:
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_table_says_its_precision(precision: Any) -> None:
-    assert precision_of(np.zeros(1, table_type(precision))[0]) == precision
+    assert precision_of(zeroed(Table, precision)[0]) == precision

@@ -15,7 +15,7 @@ from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.tustin import tustin, zoh
 from firmware_model.law.core import actuator, biquad, shortfall
 from firmware_model.law.core.shortfall import make_up
-from firmware_model.law.structs import record_type
+from firmware_model.law.structs import zeroed
 
 ROWS = {
     "a lag": [[0.0, 0.3, 0.0, 0.4, 0.0]],
@@ -34,10 +34,11 @@ FADED = 6000  # ticks until each output has faded
 
 def records(rows: NDArray[np.float64], slew: float = math.inf) -> list[Any]:
     """Constants of the make-up, the cascade, the actuator, and a state."""
-    kinds = (shortfall.Constants, biquad.Constants, actuator.Constants, shortfall.State)
-    constants, cascade, limits, state = (
-        np.zeros(1, record_type(kind, "float64"))[0] for kind in kinds
+    constants, limits = (
+        zeroed(shortfall.Constants, "float64")[0],
+        zeroed(actuator.Constants, "float64")[0],
     )
+    cascade, state = zeroed(biquad.Constants, "float64")[0], zeroed(shortfall.State, "float64")[0]
     cascade.n = len(rows)
     cascade.coefficients[: len(rows)] = rows
     constants.gain[: len(rows)] = make_up_gain(Sections(rows.copy(), 1e-3))

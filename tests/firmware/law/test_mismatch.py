@@ -14,7 +14,8 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.law import controller
-from firmware_model.law.structs import RecordArray
+from firmware_model.law.layout import Table
+from firmware_model.law.structs import Records
 from firmware_model.law.supervision.covariance import MAX_STATES
 from firmware_model.law.supervision.mismatch import (
     difference,
@@ -35,7 +36,7 @@ COLOUR, NOISE_RMS = 0.6, 0.01
 REMAINDER = abs(1.0 - COLOUR * np.exp(-1j * TICK_S / 0.12))  # W at its time constant
 
 
-def tables_of(parameters: int, **changes: Any) -> RecordArray:
+def tables_of(parameters: int, **changes: Any) -> Records[Table]:
     of = {"noise_rms": NOISE_RMS, "noise_pole": COLOUR, **changes}
     mismatch = other_cars(parameters)
     return changed(build(DESIGN, Target(TICK_S, 0, "zoh", mismatch=mismatch, **of)))

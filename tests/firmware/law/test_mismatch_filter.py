@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from firmware_model.law.structs import Precision, record_type
+from firmware_model.law.structs import Precision, zeroed
 from firmware_model.law.supervision import mismatch
 from firmware_model.law.supervision.covariance import LOSS_STATES, MAX_DIRECTIONS, MAX_STATES
 from firmware_model.law.supervision.mismatch import clear_mismatch, innovation, learn_loss
@@ -20,8 +20,8 @@ COLOUR = 0.6
 
 def begun(precision: Precision = "float64", **changes: Any) -> tuple[Any, Any]:
     """Constants and state of a filter with four other cars and some numbers of its own."""
-    constants = np.zeros(1, record_type(mismatch.Constants, precision))[0]
-    state = np.zeros(1, record_type(mismatch.State, precision))[0]
+    constants = zeroed(mismatch.Constants, precision)[0]
+    state = zeroed(mismatch.State, precision)[0]
     chosen = {
         "n": MAX_STATES, "prior": 0.36, "forgetting": [0.0, 0.0, 0.01, 0.02, 0.03, 0.05, 0.1],
         "growth": [0.0, 0.0, 0.01, 0.003, 0.002, 0.004, 0.2], "white": 0.1, "noise": 1e-4,

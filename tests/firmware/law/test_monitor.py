@@ -23,7 +23,7 @@ from firmware_model.law.layout import state_type
 from firmware_model.law.monitor import Constants, clear_monitor, watch
 from firmware_model.law.monitor import State as MonitorState
 from firmware_model.law.status import Mode, Verdict
-from firmware_model.law.structs import FloatArray, record_type
+from firmware_model.law.structs import FloatArray, zeroed
 
 TICK_S = 0.01
 CAR = steer_by_wire()
@@ -39,7 +39,7 @@ NAN = math.nan
 
 def bench(**changes: float) -> tuple[Any, Any]:
     """Constants with unit gains and immediate motions, and a state at rest."""
-    table = np.zeros(1, record_type(Constants, "float64"))[0]
+    table = zeroed(Constants, "float64")[0]
     values: dict[str, float] = {
         "enabled": 1, "limit_1": 10.0, "limit_2": 10.0, "slew_1": math.inf, "slew_2": math.inf,
         "gain_1": 1.0, "gain_2": 1.0, "lag": 1.0, "forgetting": 0.001, "doubt": 0.2,
@@ -47,7 +47,7 @@ def bench(**changes: float) -> tuple[Any, Any]:
     }  # fmt: skip
     for name, value in (values | changes).items():
         table[name] = value
-    return table, np.zeros(1, record_type(MonitorState, "float64"))[0]
+    return table, zeroed(MonitorState, "float64")[0]
 
 
 def told(table: Any, own: Any, rows: Any) -> list[tuple[float, float]]:
@@ -223,7 +223,7 @@ def test_commands_alone_are_bounded_where_tires_are_unknown_or_rest_is_unstable(
     tires = build(DESIGN, replace(TARGET, motion_limit=math.inf)).monitor
     pole = ZeroPoleGain((), (2.0, -3.0), 1.0)
     plant = Plant.from_transfer_functions("unstable", pole, pole)
-    unstable = np.zeros(1, record_type(Constants, "float64"))[0]
+    unstable = zeroed(Constants, "float64")[0]
     fill_monitor(unstable, plant, TARGET)
     for monitor in (tires, unstable):
         assert monitor.enabled == 1
@@ -247,7 +247,7 @@ Law = Callable[[int, float], tuple[float, float]]
 def driven(law: Law, monitor: bool = True) -> FloatArray:
     """|y| of a car that any ``law`` drives: from tick and y to both commands."""
     table = build(DESIGN, replace(TARGET, monitor=monitor)).monitor
-    own = np.zeros(1, record_type(MonitorState, "float64"))[0]
+    own = zeroed(MonitorState, "float64")[0]
     random, found = np.random.default_rng(4), np.zeros(TICKS)
     x, sent, y = np.zeros(len(PLANT.c)), (0.0, 0.0), 0.0
     for k in range(TICKS):

@@ -12,7 +12,7 @@ import pytest
 
 from firmware_model.law import controller
 from firmware_model.law.schedule import State, change_speed
-from firmware_model.law.structs import Precision, record_type
+from firmware_model.law.structs import Precision, zeroed
 from tests.firmware.both_ways import lines_compiled_and_interpreted
 from tests.firmware.scheduled import SPEEDS, TARGET, scheduled
 
@@ -25,7 +25,7 @@ def digests(precision: Precision) -> Iterator[str]:
     of = scheduled(target=replace(TARGET, precision=precision), cars=2)
     tables = np.array([of.table], of.table.dtype)
     states = controller.init(tables[0])
-    own = np.zeros(1, record_type(State, precision))
+    own = zeroed(State, precision)
     for k in range(TICKS):
         speed = SPEEDS[0] + (SPEEDS[-1] - SPEEDS[0]) * abs(math.sin(0.1 * k))
         change_speed(of.schedule, own[0], tables[0], states[0], speed)

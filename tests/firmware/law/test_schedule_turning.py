@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from firmware_model.discretisation.targets import Reporting
-from firmware_model.law.layout import table_type
+from firmware_model.law.layout import Table
 from firmware_model.law.schedule import MAX_SPEEDS, Constants, blend, place_of, turn_models
-from firmware_model.law.structs import fields_of, record_type
+from firmware_model.law.structs import fields_of, zeroed
 from tests.firmware.scheduled import LAGS, SPEEDS, TARGET, Blended, scheduled
 
 OF = scheduled(target=replace(TARGET, echoes=tuple(map(Reporting, LAGS[:2]))), cars=1)
@@ -103,11 +103,11 @@ def test_everything_that_is_blended_lies_on_the_line_between_two_designs():
 
     Behind the last design of a full schedule there is none, and none is read.
     """
-    schedule = np.zeros(1, record_type(Constants, "float64"))[0]
+    schedule = zeroed(Constants, "float64")[0]
     for i, field in enumerate(fields_of(Constants)[2:]):
         value = schedule[field.name]
         value[:] = np.random.default_rng(i).standard_normal(value.shape)
-    table, sections = np.zeros(1, table_type("float64"))[0], 3
+    table, sections = zeroed(Table, "float64")[0], 3
     cars = {f"car_{i}_channel_{j}": ("other_cars", f"car_{i}", f"channel_{j}")
             for i in range(1, 5) for j in (1, 2)}  # fmt: skip
     filters = {
@@ -145,7 +145,7 @@ def test_everything_that_is_blended_lies_on_the_line_between_two_designs():
 
 
 def test_a_full_schedule_ends_with_its_last_design():
-    schedule = np.zeros(1, record_type(Constants, "float64"))[0]
+    schedule = zeroed(Constants, "float64")[0]
     schedule.n = MAX_SPEEDS
     schedule.speed[:] = 10.0 + np.arange(MAX_SPEEDS)
     assert place_of(schedule, 99.0) == MAX_SPEEDS - 1

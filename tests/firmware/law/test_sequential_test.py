@@ -24,8 +24,9 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.law import controller
 from firmware_model.law.core.biquad import output
+from firmware_model.law.layout import Table
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import FloatArray, RecordArray
+from firmware_model.law.structs import FloatArray, Records
 from firmware_model.law.supervision.likelihood_ratio import (
     is_stale,
     lost_share,
@@ -53,7 +54,7 @@ class Run:
     share: FloatArray
 
 
-def drive(tables: RecordArray, measured: FloatArray, starts: tuple[int, ...] = ()) -> Run:
+def drive(tables: Records[Table], measured: FloatArray, starts: tuple[int, ...] = ()) -> Run:
     """The law on a reference that swings, D* as given; a candidate begins at ``starts``."""
     states = controller.init(tables[0])
     state, rows = states[0], []

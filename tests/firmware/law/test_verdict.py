@@ -10,8 +10,9 @@ import pytest
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
+from firmware_model.law.layout import Table
 from firmware_model.law.status import FaultState, Verdict
-from firmware_model.law.structs import RecordArray
+from firmware_model.law.structs import Records
 from firmware_model.law.supervision.verdict import (
     judge,
     other_car_evidence,
@@ -234,7 +235,7 @@ def test_the_end_of_a_confirmed_loss_competes_with_the_loss_of_the_other_channel
     assert judged(state, lost=30.0, force=140.0) == Verdict.BOTH_LOST
 
 
-def with_learnt_car(tables: RecordArray, lost: bool) -> Any:
+def with_learnt_car(tables: Records[Table], lost: bool) -> Any:
     """A state whose filter has a covariance that is not diagonal."""
     state = controller.init(tables[0])[0]
     draw, n = np.random.default_rng(4), int(tables[0].mismatch.n)

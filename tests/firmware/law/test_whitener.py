@@ -11,7 +11,7 @@ from scipy import signal
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.discretisation.whitening import whitening
-from firmware_model.law.structs import record_type
+from firmware_model.law.structs import zeroed
 from firmware_model.law.supervision.whitener import (
     Constants,
     State,
@@ -27,14 +27,14 @@ DRAWN = np.random.default_rng(3).standard_normal((2, 60))
 def constants_of(**noise: float) -> tuple[Any, Any]:
     """The constants of a target's whitener, and scipy's sections of the same filter."""
     sections = whitening(zoh(CAR.g1, TICK_S), Target(TICK_S, noise_rms=0.01, **noise)).sections
-    constants: Any = np.zeros(1, record_type(Constants, "float64"))[0]
+    constants: Any = zeroed(Constants, "float64")[0]
     constants.n = len(sections.coefficients)
     constants.coefficients[: constants.n] = sections.coefficients
     return constants, sections.sos
 
 
 def at_rest() -> Any:
-    return np.zeros(1, record_type(State, "float64"))[0]
+    return zeroed(State, "float64")[0]
 
 
 @pytest.mark.parametrize("noise", [{"noise_pole": 0.6}, {"noise_pole": 0.6, "disturbance": 0.2}])

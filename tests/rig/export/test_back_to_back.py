@@ -40,10 +40,10 @@ from can_rig.export.trials import (
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
 from firmware_model.firmware import Firmware, Law
-from firmware_model.law.layout import state_type, table_type
+from firmware_model.law.layout import State, state_type, table_type
 from firmware_model.law.schedule import MAX_SPEEDS
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import Precision
+from firmware_model.law.structs import Precision, zeroed
 from tests.rig.export.shared import EMULATED, PRECISIONS
 
 MEMORIES, TICKS = 100, 12
@@ -241,7 +241,7 @@ def test_c_saves_the_bytes_of_python_and_refuses_every_flipped_bit(precision: Pr
     assert saved.raw == whole
     assert state.tobytes() == before
 
-    fresh = np.zeros(1, state_type(precision))
+    fresh = zeroed(State, precision)
     code.firmware_init(address(fresh))
     before = fresh.tobytes()
     for bit in range(8 * len(whole)):

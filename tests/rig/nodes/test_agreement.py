@@ -255,6 +255,18 @@ def test_before_its_first_tick_a_node_ends_beside_another_of_its_kind(name, key)
     assert [said.key for said in end.said()] == [PRESENT] * (key == ASKED)
 
 
+def test_a_controller_that_hears_another_at_work_ends_before_it_sends_anything():
+    """DATA is a command; what the plant sends alone is an offer that waits for an answer."""
+    offer = can.Message(arbitration_id=0x101, is_extended_id=False, data=bytes(8))
+    for heard, refused in (([offer], False), ([offer, DATA], True)):
+        end = End("controller")
+        network = network_of(end.scenario)
+        end.wire.waiting += heard
+        with pytest.raises(BusError, match="another controller") if refused else nullcontext():
+            end.agreement.listen((network.command_1, network.command_2, network.status))
+        assert end.said() == []
+
+
 def test_a_node_that_runs_answers_a_question_and_no_answer_and_goes_on():
     end = End()
     end.agreement.settled = True

@@ -16,7 +16,8 @@ from can_rig.frames.network import Network
 from can_rig.nodes.lockstep import ControllerNode, EcuNode, in_real_time, lockstep_controller
 from can_rig.scenario.build import network_of
 from firmware_model.firmware import PythonLaw
-from firmware_model.law.structs import RecordArray
+from firmware_model.law.layout import State
+from firmware_model.law.structs import Records
 
 TICKS = 30
 HEALTHY = load("default", [f"duration_s={TICKS * 1e-3}", "fault.kind=none"])
@@ -159,7 +160,7 @@ class Counting(PythonLaw):
     def __init__(self) -> None:
         self.started = 0
 
-    def init(self, table: Any) -> RecordArray:
+    def init(self, table: Any) -> Records[State]:
         self.started += 1
         return super().init(table)
 

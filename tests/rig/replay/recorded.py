@@ -20,7 +20,8 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, ChangeSpeed, Hear, Law, Memories, Step
-from firmware_model.law.structs import RecordArray
+from firmware_model.law.layout import State, Table
+from firmware_model.law.structs import Records
 
 FOLDER: Final = Path(__file__).parents[2] / "drives"
 DRIVES: Final[dict[str, dict[str, Any]]] = tomllib.loads(
@@ -83,18 +84,18 @@ class WithRecordedConstants:
         self._constants = recorded(name)
         self._law = PYTHON_LAW
 
-    def init(self, table: Any) -> RecordArray:
+    def init(self, table: Any) -> Records[State]:
         """See ``Law``."""
         constants = self._constants["table"]
         for field in table.dtype.fields or ():
             table[field] = constants[field]
         return self._law.init(table)
 
-    def step_of(self, tables: RecordArray, states: RecordArray) -> Step:
+    def step_of(self, tables: Records[Table], states: Records[State]) -> Step:
         """See ``Law``."""
         return self._law.step_of(tables, states)
 
-    def hear_of(self, tables: RecordArray, states: RecordArray) -> Hear:
+    def hear_of(self, tables: Records[Table], states: Records[State]) -> Hear:
         """See ``Law``."""
         return self._law.hear_of(tables, states)
 
