@@ -758,10 +758,10 @@ class _CFiles:
     def __init__(
         self, program: Program, structs: list[CStruct], entries: set[str], precision: Precision
     ) -> None:
-        check_ranges(program, entries)
+        self._effects = Effects(program)
+        check_ranges(program, entries, self._effects.changing)
         self._program = program
         self._precision: Precision = precision
-        self._effects = Effects(program)
         self._names = Names(program, precision)
         self._structs = list(self._with_members(structs))
         self._public = entries | {

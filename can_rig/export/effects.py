@@ -20,13 +20,16 @@ class Effects:
     Args:
         program: the whole program.
 
+    Attributes:
+        changing: the structs that the program writes.
+
     Raises:
         ExportError: the value of an expression depends on C's order of evaluation.
     """
 
     def __init__(self, program: Program) -> None:
         self._written: dict[Typed, set[str]] = {}
-        self._changing: set[CStruct] = set()
+        self.changing: set[CStruct] = set()
         functions = list(program.functions.values())
         for typed in functions:
             self._written[typed] = set(self._writes(typed))
@@ -40,7 +43,7 @@ class Effects:
     def _writes(self, typed: Typed) -> Iterator[str]:
         """The names that ``typed`` writes, aliases included."""
         aliases = {
-            (one.id, _root(value))
+            (one.id, value)
             for node in _walk(typed)
             if isinstance(node, ast.Assign)
             for one, value in paired(node)
@@ -60,8 +63,11 @@ class Effects:
             for target in targets:
                 self._note(typed, target)
                 found = {_root(target)}
-                while more := {whole for alias, whole in aliases if alias in found} - found:
+                while more := {_root(whole) for alias, whole in aliases if alias in found} - found:
                     found |= more
+                for alias, whole in aliases:
+                    if alias in found:
+                        self._note(typed, whole)
                 yield from filter(None, found)
 
     def _note(self, typed: Typed, node: ast.expr) -> None:
@@ -71,7 +77,7 @@ class Effects:
             if isinstance(node, ast.Name):
                 kind = typed.names[node.id]
             if isinstance(kind, Record):
-                self._changing.add(kind.struct)
+                self.changing.add(kind.struct)
             if not isinstance(node, ast.Attribute | ast.Subscript):
                 return
             node = node.value
@@ -173,7 +179,7 @@ class Effects:
                     owner = typed.types.get(getattr(inner.value, "value", inner.value))
                 elif owner is None:
                     continue
-                if not isinstance(owner, Record) or owner.struct in self._changing:
+                if not isinstance(owner, Record) or owner.struct in self.changing:
                     return False
         return True
 

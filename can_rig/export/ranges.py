@@ -52,12 +52,13 @@ NO_ASCII: Final = "must be a name in ASCII, as C has them"
 STEPS: Final = (np.rint, np.ceil)
 
 
-def check_ranges(program: Program, entries: Collection[str]) -> None:
+def check_ranges(program: Program, entries: Collection[str], changing: Collection[CStruct]) -> None:
     """Check every index and every integer of a program.
 
     Args:
         program: the program.
         entries: C names of the functions that other programs call, with any numbers.
+        changing: the structs that the program writes, which begin with zeros.
 
     Raises:
         ExportError: an index that may lie beyond its array, an integer that may be beyond 32 bits,
@@ -66,7 +67,7 @@ def check_ranges(program: Program, entries: Collection[str]) -> None:
     """
     for typed in program.functions.values():
         _check_names(typed)
-    _Proof(program, entries).check()
+    _Proof(program, entries, changing).check()
 
 
 def _check_names(typed: Typed) -> None:
@@ -79,7 +80,10 @@ def _check_names(typed: Typed) -> None:
 class _Proof:
     """The fixed point: ``known`` are the ranges assumed in a pass, ``found`` those that follow."""
 
-    def __init__(self, program: Program, entries: Collection[str]) -> None:
+    def __init__(
+        self, program: Program, entries: Collection[str], changing: Collection[CStruct]
+    ) -> None:
+        self._changing = changing
         self._functions = list(reversed(program.functions.values()))  # callers first
         self._entries = entries
         self.written = {
@@ -89,12 +93,6 @@ class _Proof:
             if isinstance(node, ast.Assign | ast.AugAssign)
             for target, _ in _pairs(node)
             if isinstance(target, ast.Attribute)
-        }
-        self._changing = {
-            _field(node, typed)[1]
-            for typed in self._functions
-            for node in ast.walk(typed.function.tree)
-            if isinstance(node, ast.Attribute | ast.Subscript) and isinstance(node.ctx, ast.Store)
         }
         self.known: dict[Key, Range | None] = {}
         self.found: dict[Key, Range | None] = {}
@@ -138,7 +136,7 @@ class _Proof:
         key = ("field", struct.tag, name)
         found = self.known.get(key, (0, 0)) if key in self.written else ANY
         found = _declared(struct, name) or found
-        return (_around((0, 0), found) if struct.tag in self._changing else found) or ANY
+        return (_around((0, 0), found) if struct in self._changing else found) or ANY
 
 
 class _NotFollowedError(Exception):
@@ -476,14 +474,9 @@ def _declared(struct: CStruct, name: str) -> Range | None:
     return next(each.range for each in struct.fields if each.name == name)
 
 
-def _field(target: ast.Attribute | ast.Subscript, typed: Typed) -> Key:
-    while isinstance(target, ast.Subscript) and isinstance(
-        target.value, ast.Attribute | ast.Subscript
-    ):
-        target = target.value
-    owner = typed.types.get(target.value)
-    tag = owner.struct.tag if isinstance(owner, Record) else ""
-    return ("field", tag, getattr(target, "attr", ""))
+def _field(target: ast.Attribute, typed: Typed) -> Key:
+    owner = typed.types[target.value]
+    return ("field", owner.struct.tag if isinstance(owner, Record) else "", target.attr)
 
 
 def _pairs(

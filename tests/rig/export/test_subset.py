@@ -64,6 +64,12 @@ def bump(state: State) -> int:
     return state.n
 
 @firmware
+def through(state: State) -> float:
+    part = state.list
+    part[0] += real(1.0, state.a)
+    return part[0]
+
+@firmware
 def again(x: float) -> float:
     return x
 
@@ -191,8 +197,8 @@ REFUSED = {
         "state.list[i]: index 8 is possible: must be from 0 to 3",
     "for i in range(4):\n        state.list[i - 1] = x":
         "state.list[i - 1]: index -1 is possible: must be from 0 to 3",
-    "for i in range(state.n):\n        state.list[i - 1] = x": "i - 1 can be any number",
-    "for i in range(state.n):\n        state.list[i] = x": "any index seems possible",
+    "n = state.n\n    for i in range(n):\n        state.list[i - 1] = x": "i - 1 can be any number",
+    "n = state.n\n    for i in range(n):\n        state.list[i] = x": "any index seems possible",
     "for i in range(3, -2, -1):\n        state.list[i] = x": "index -1 is possible",
     "for i in range(4):\n        for j in range(i, 3):\n            y = state.grid[i, j]":
         "state.grid[i, j]: index 2 is possible: must be from 0 to 1",
@@ -231,6 +237,7 @@ REFUSED = {
     "state.list[:] = count(state)": "must be a name or a literal to go to several places",
     "y = state.grid[bump(state), state.n % 2]": "bump(state) changes something",
     "state.grid[bump(state), state.n % 2] += x": "bump(state) changes something",
+    "y = through(state) + state.list[0]": "through(state) changes something",
     "y, y = pair(x)": "y, y = pair(x): must be different names",
     "y = real(NOTHING, x)\n    if y < 0.0:\n        pass\n    state.list[MANY - 1] = x":
         "index 6 is possible",
