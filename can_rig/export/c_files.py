@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import math
 import re
+import sys
 import textwrap
 import unicodedata
 from collections.abc import Iterator
@@ -20,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 from can_rig.export.effects import Effects
-from can_rig.export.ranges import check_ranges
+from can_rig.export.ranges import NO_ASCII, check_ranges
 from can_rig.export.source import (
     INT,
     REAL,
@@ -67,6 +68,8 @@ def name(python: str) -> str:
 
 def number(value: float, precision: Precision) -> str:
     """A literal with the exact value in ``precision``."""
+    with np.errstate(over="ignore"):
+        value = float(np.dtype(precision).type(value))
     if math.isnan(value):
         return "NAN" if precision == "float32" else "(double)NAN"
     if math.isinf(value):
@@ -400,6 +403,8 @@ class CFunction:
         for target, value in pairs:
             if isinstance(target, ast.Subscript) and isinstance(self._types.get(target), Array):
                 self._fill(target, value, remark)
+            elif isinstance(target, ast.Name) and target.id == "_":
+                self._line(f"(void){self._text(value, UNARY)};", remark)
             else:
                 self._line(f"{self._place(node, target)} = {self._address(value)};", remark)
             remark = None
@@ -489,7 +494,7 @@ class CFunction:
         assert isinstance(node.iter, ast.Call)
         assert isinstance(node.target, ast.Name)
         remark = self._take_comment(node.iter)
-        ends = [self._text(each) for each in node.iter.args]
+        ends = [self._text(each, SUM) for each in node.iter.args]
         start, stop = ["0", *ends][-2:] if len(ends) < 3 else ends[:2]
         ends_at, step = ("<", "++") if len(ends) < 3 else (">", "--")
         i = self._free("i") if node.target.id == "_" else name(node.target.id)
@@ -556,6 +561,7 @@ class CFunction:
 
     def _subscript(self, node: ast.Subscript) -> str:
         array, indices = self._text(node.value), indices_of(node)
+        array = f"({array})" if array.startswith("&") else array
         if isinstance(self._types[node], Array):  # a part of an array is where it begins
             lower = indices[0].lower if isinstance(indices[0], ast.Slice) else None
             return array if lower is None else f"&{array}[{self._text(lower)}]"
@@ -612,6 +618,9 @@ class Names:
                         value = user.lookup(node.id)
                         if isinstance(value, int | float):
                             home = _origin(self._sources, user, node.id)
+                            if node.id not in home.assignments:
+                                what = f"{{}}: must have an assignment in a module: {{}} = {value}"
+                                raise user.refuse(node, what)
                             self._homes[home.name] = home
                             self._used.setdefault((home.name, node.id), set()).add(user.name)
         self._check(program)
@@ -652,8 +661,10 @@ class Names:
             taken |= {_enumerator(n, each.name) for n, e in module.enums.items() for each in e}
             for struct in module.structs.values():
                 for field in struct.fields:
+                    at = ast.Pass(lineno=struct.line)
+                    if not field.name.isascii():
+                        raise module.refuse(at, f"{field.name}: {NO_ASCII}")
                     if name(field.name) in macros:
-                        at = ast.Pass(lineno=struct.line)
                         raise module.refuse(at, f"{field.name}: {_ELSEWHERE}")
         for typed in program.functions.values():
             for local, node in _locals(typed).items():
@@ -689,8 +700,10 @@ def _origin(sources: Sources, user: Module, found: str) -> Module:
     """The module that defines ``found`` as used in ``user``."""
     for node in user.tree.body:
         names = [alias.name for alias in getattr(node, "names", [])]
-        if isinstance(node, ast.ImportFrom) and node.module and found in names:
-            return _origin(sources, sources.module(node.module), found)
+        if isinstance(node, ast.ImportFrom) and found in names:
+            home = sys.modules.get(node.module or "")
+            if home and str(getattr(home, "__file__", "")).endswith(".py"):
+                return _origin(sources, sources.module(home.__name__), found)
     return user
 
 
@@ -709,9 +722,10 @@ def _enumerations(module: Module) -> list[str]:
         lines.append("enum {")
         for each, after in zip(node.body, [*node.body[1:], None], strict=True):
             match each:
-                case ast.Assign(
-                    targets=[ast.Name(id=member)], value=ast.Constant(value=int(value))
-                ):
+                case ast.Assign(targets=[ast.Name(id=member)]):
+                    if not member.isascii():
+                        raise module.refuse(each, f"{member}: {NO_ASCII}")
+                    value = module.enums[node.name][member].value
                     line = f"    {_enumerator(node.name, member)} = {value},"
                     match after:
                         case ast.Expr(value=ast.Constant(value=str(said))):
@@ -744,10 +758,10 @@ class _CFiles:
     def __init__(
         self, program: Program, structs: list[CStruct], entries: set[str], precision: Precision
     ) -> None:
-        check_ranges(program, entries)
+        self._effects = Effects(program)
+        check_ranges(program, entries, self._effects.changing)
         self._program = program
         self._precision: Precision = precision
-        self._effects = Effects(program)
         self._names = Names(program, precision)
         self._structs = list(self._with_members(structs))
         self._public = entries | {

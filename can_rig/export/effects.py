@@ -20,13 +20,16 @@ class Effects:
     Args:
         program: the whole program.
 
+    Attributes:
+        changing: the structs that the program writes.
+
     Raises:
         ExportError: the value of an expression depends on C's order of evaluation.
     """
 
     def __init__(self, program: Program) -> None:
         self._written: dict[Typed, set[str]] = {}
-        self._changing: set[CStruct] = set()
+        self.changing: set[CStruct] = set()
         functions = list(program.functions.values())
         for typed in functions:
             self._written[typed] = set(self._writes(typed))
@@ -40,12 +43,11 @@ class Effects:
     def _writes(self, typed: Typed) -> Iterator[str]:
         """The names that ``typed`` writes, aliases included."""
         aliases = {
-            one.id: whole
+            (one.id, value)
             for node in _walk(typed)
             if isinstance(node, ast.Assign)
             for one, value in paired(node)
             if isinstance(one, ast.Name) and isinstance(typed.names.get(one.id), Record | Array)
-            if (whole := _root(value)) is not None
         }
         for node in _walk(typed):
             targets: list[ast.expr] = []
@@ -60,10 +62,13 @@ class Effects:
                 targets = [each for name, each in pairs if name in self._written[callee]]
             for target in targets:
                 self._note(typed, target)
-                name = _root(target)
-                while name is not None:
-                    yield name
-                    name = aliases.get(name)
+                found = {_root(target)}
+                while more := {_root(whole) for alias, whole in aliases if alias in found} - found:
+                    found |= more
+                for alias, whole in aliases:
+                    if alias in found:
+                        self._note(typed, whole)
+                yield from filter(None, found)
 
     def _note(self, typed: Typed, node: ast.expr) -> None:
         """Every struct on the way to ``node`` changes."""
@@ -72,7 +77,7 @@ class Effects:
             if isinstance(node, ast.Name):
                 kind = typed.names[node.id]
             if isinstance(kind, Record):
-                self._changing.add(kind.struct)
+                self.changing.add(kind.struct)
             if not isinstance(node, ast.Attribute | ast.Subscript):
                 return
             node = node.value
@@ -89,6 +94,8 @@ class Effects:
                     self._unordered(typed, node, arguments)
                 case ast.AugAssign(target=target, value=value):
                     self._unordered(typed, node, [target, value])
+                case ast.Subscript(slice=ast.Tuple(elts=indices)):
+                    self._unordered(typed, node, indices)
                 case ast.Assign():
                     self._assign(typed, node)
                 case ast.For(iter=ast.Call(args=ends)):
@@ -106,6 +113,13 @@ class Effects:
     def _assign(self, typed: Typed, node: ast.Assign) -> None:
         """Several targets get the same value, or each its own, one after the other."""
         refuse, first, value = typed.function.module.refuse, node.targets[0], node.value
+        for target, each in paired(node):
+            filled = isinstance(typed.types.get(target), Array)
+            if filled and any(
+                isinstance(one, ast.Subscript) or one in typed.calls for one in ast.walk(each)
+            ):
+                what = f"{ast.unparse(each)}: must be a name or a literal to go to several places"
+                raise refuse(node, what)
         if isinstance(first, ast.Tuple) and isinstance(value, ast.Tuple):
             for i, target in enumerate(first.elts):
                 self._unordered(typed, node, [*_indices(target), value.elts[i]])
@@ -115,12 +129,18 @@ class Effects:
                             node, f"{{}}: {ast.unparse(later)} may be what was just assigned: "
                             "must be two statements"
                         )  # fmt: skip
-        elif len(node.targets) > 1 and not self._stable(typed, value):
+        elif len(node.targets) > 1 and not self._settled(typed, node.targets, value):
             what = f"{ast.unparse(value)}: must be a name or a literal to go to several places"
             raise refuse(node, what)
         else:
             indices = [index for target in node.targets for index in _indices(target)]
             self._unordered(typed, node, [*indices, value])
+
+    def _settled(self, typed: Typed, targets: list[ast.expr], value: ast.expr) -> bool:
+        """Whether ``value`` stays the same while one target after the other gets ``value``."""
+        stored = {each.id for each in targets if isinstance(each, ast.Name)}
+        read = {each.id for each in names_in(value)}
+        return self._stable(typed, value) and not stored & read
 
     def _untouched(self, typed: Typed, target: ast.expr, later: ast.expr) -> bool:
         """Whether ``later`` is independent of the assignment to ``target``."""
@@ -159,7 +179,7 @@ class Effects:
                     owner = typed.types.get(getattr(inner.value, "value", inner.value))
                 elif owner is None:
                     continue
-                if not isinstance(owner, Record) or owner.struct in self._changing:
+                if not isinstance(owner, Record) or owner.struct in self.changing:
                     return False
         return True
 

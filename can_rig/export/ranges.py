@@ -39,6 +39,7 @@ LEAST, LARGEST = -(2**31), 2**31 - 1
 SETTLING: Final = 4  # passes until what still grows goes to infinity
 SMALL: Final = 1e15  # real numbers whose arithmetic gives no infinity and no NaN
 ROUNDING: Final = 1e-5  # relative, of real numbers in either precision
+UNDERFLOW: Final = 1.5e-45  # absolute
 
 OPPOSITE: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
     ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt,
@@ -47,15 +48,17 @@ OPPOSITE: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
 MIRRORED: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
     ast.Lt: ast.Gt, ast.LtE: ast.GtE, ast.Gt: ast.Lt, ast.GtE: ast.LtE,
 }  # fmt: skip
+NO_ASCII: Final = "must be a name in ASCII, as C has them"
 STEPS: Final = (np.rint, np.ceil)
 
 
-def check_ranges(program: Program, entries: Collection[str]) -> None:
+def check_ranges(program: Program, entries: Collection[str], changing: Collection[CStruct]) -> None:
     """Check every index and every integer of a program.
 
     Args:
         program: the program.
         entries: C names of the functions that other programs call, with any numbers.
+        changing: the structs that the program writes, which begin with zeros.
 
     Raises:
         ExportError: an index that may lie beyond its array, an integer that may be beyond 32 bits,
@@ -64,21 +67,23 @@ def check_ranges(program: Program, entries: Collection[str]) -> None:
     """
     for typed in program.functions.values():
         _check_names(typed)
-    _Proof(program, entries).check()
+    _Proof(program, entries, changing).check()
 
 
 def _check_names(typed: Typed) -> None:
     for node in ast.walk(typed.function.tree):
         name = str(getattr(node, "id", getattr(node, "attr", getattr(node, "arg", ""))))
         if not name.isascii():
-            what = f"{name}: must be a name in ASCII, as C has them"
-            raise typed.function.module.refuse(node, what)
+            raise typed.function.module.refuse(node, f"{name}: {NO_ASCII}")
 
 
 class _Proof:
     """The fixed point: ``known`` are the ranges assumed in a pass, ``found`` those that follow."""
 
-    def __init__(self, program: Program, entries: Collection[str]) -> None:
+    def __init__(
+        self, program: Program, entries: Collection[str], changing: Collection[CStruct]
+    ) -> None:
+        self._changing = changing
         self._functions = list(reversed(program.functions.values()))  # callers first
         self._entries = entries
         self.written = {
@@ -127,11 +132,11 @@ class _Proof:
         self.found[key] = _around(found, self.found.get(key, found))
 
     def of_field(self, struct: CStruct, name: str) -> Range:
-        """As declared, or zero and all that is assigned; any number where neither says more."""
-        declared = next(each.range for each in struct.fields if each.name == name)
+        """Zero in memory that the program writes, and as declared, or else all that is assigned."""
         key = ("field", struct.tag, name)
-        assigned = self.known.get(key, (0, 0)) if key in self.written else ANY
-        return declared or _around((0, 0), assigned) or ANY
+        found = self.known.get(key, (0, 0)) if key in self.written else ANY
+        found = _declared(struct, name) or found
+        return (_around((0, 0), found) if struct in self._changing else found) or ANY
 
 
 class _NotFollowedError(Exception):
@@ -226,7 +231,7 @@ class _Pass:
             owner = self._type_of(target.value)
             assert isinstance(owner, Record)
             self._proof.add(("field", owner.struct.tag, last), value or ANY)
-            least, largest = self._proof.of_field(owner.struct, last)
+            least, largest = _declared(owner.struct, last) or ANY
             if not least <= (value or ANY)[0] <= (value or ANY)[1] <= largest:
                 what = f"must be from {least:.0f} to {largest:.0f}"
                 self._refuse(target, f"{{}} can be beyond its declared range: {what}")
@@ -329,7 +334,8 @@ class _Pass:
     def _of_name(self, name: str, ranges: Ranges) -> Range | None:
         if name not in self._typed.names:
             value = self._module.lookup(name)
-            return (value, value) if isinstance(value, int | float) else None
+            known = isinstance(value, int | float) and not math.isnan(value)
+            return (value, value) if known else None
         return ranges.get(name, ANY if self._typed.names[name] is INT else None)
 
     def _of_path(self, node: ast.Attribute, ranges: Ranges) -> Range | None:
@@ -464,6 +470,10 @@ class _Pass:
         return {**ranges, ast.unparse(node): (least, largest)} if least <= largest else None
 
 
+def _declared(struct: CStruct, name: str) -> Range | None:
+    return next(each.range for each in struct.fields if each.name == name)
+
+
 def _field(target: ast.Attribute, typed: Typed) -> Key:
     owner = typed.types[target.value]
     return ("field", owner.struct.tag if isinstance(owner, Record) else "", target.attr)
@@ -531,7 +541,8 @@ def _extreme(pick: Callable[..., float], ranges: list[Range | None]) -> Range | 
 
 def _rounded(found: Range) -> Range:
     """The range of a real number after a rounding."""
-    return (found[0] - ROUNDING * abs(found[0]), found[1] + ROUNDING * abs(found[1]))
+    least, largest = (ROUNDING * abs(end) + UNDERFLOW for end in found)
+    return (found[0] - least, found[1] + largest)
 
 
 def _whole(end: float) -> float:

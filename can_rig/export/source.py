@@ -210,7 +210,12 @@ class Sources:
         plain = getattr(value, "py_func", value)
         if not isinstance(plain, FunctionType):
             return None
-        return self.module(plain.__module__).functions.get(plain.__name__)
+        found = self.module(plain.__module__).functions.get(plain.__name__)
+        if found is None:
+            return None
+        tree = found.tree
+        first = min([tree.lineno, *(each.lineno for each in tree.decorator_list)])
+        return found if plain.__code__.co_firstlineno == first else None
 
     def struct(self, declared: object) -> CStruct | None:
         """The struct of this declaration, among the modules read so far; None for a number."""
@@ -229,8 +234,9 @@ def paired(node: ast.Assign) -> list[tuple[ast.expr, ast.expr]]:
     """Each target of an assignment with its value; two tuples are paired element by element."""
     found: list[tuple[ast.expr, ast.expr]] = []
     for target in node.targets:
-        if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
-            found += zip(target.elts, node.value.elts, strict=True)
+        names, values = (getattr(each, "elts", []) for each in (target, node.value))
+        if names and len(names) == len(values):
+            found += zip(names, values, strict=True)
         else:
             found.append((target, node.value))
     return found

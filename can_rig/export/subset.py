@@ -217,6 +217,9 @@ class Typed:
                     value, f"{{}} is {in_words(answers)}: must be {len(first.elts)} values"
                 )
             kinds = [kind for _, kind in answers.items]
+        names = [each.id for each in first.elts if isinstance(each, ast.Name) and each.id != "_"]
+        if len(set(names)) != len(names):
+            raise self._refuse(node, "{}: must be different names")
         for target, kind in zip(first.elts, kinds, strict=True):
             self._store(target, kind)
 
@@ -289,9 +292,11 @@ class Typed:
     def _answer(self, node: ast.Return) -> None:
         kind: Type = None
         if isinstance(node.value, ast.Tuple):
-            names = [each.id for each in node.value.elts if isinstance(each, ast.Name)]
+            found = (each.id for each in node.value.elts if isinstance(each, ast.Name))
+            names = [each for each in dict.fromkeys(found) if each in self.names]
             if len(names) != len(node.value.elts):
-                raise self._refuse(node, "must return names, which C needs for its struct")
+                what = "must return different names of the function, which C needs for its struct"
+                raise self._refuse(node, what)
             items = [self._value(each) for each in node.value.elts]
             kind = Answers(self.function.c_name, tuple(zip(names, items, strict=True)))
         elif node.value is not None:
@@ -361,7 +366,7 @@ class Typed:
             return LITERAL
         if isinstance(value, bool) or not isinstance(value, int):
             raise self._refuse(node, what)
-        if value not in INT32:
+        if int(value) not in INT32:  # another type than int would be compared with each number
             raise self._refuse(node, "{}: must be an integer from -2**31 to 2**31 - 1")
         return INT
 

@@ -25,6 +25,7 @@ from can_rig.export.subset import Program
 
 HEADER = """
 import math
+from math import pi
 import numpy as np
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
@@ -33,10 +34,13 @@ from firmware_model.law.structs import FloatArray, Struct
 
 OTHER = 0.1
 MANY, HUGE = 7, 2**32
+NOTHING = math.nan
+ANNOTATED: int = 3
 class State(Struct):
     a: Annotated[float, "1", "a number"]
     n: Annotated[int, "1", "an integer"]
     of_table: Annotated[int, "1", "an integer of a table", (0, 4)]
+    begun: Annotated[int, "1", "an integer that begins with zero", (1, 4)]
     list: Annotated[FloatArray, "1", "an array", (4,)]
     grid: Annotated[FloatArray, "1", "a matrix", (4, 2)]
 
@@ -53,6 +57,27 @@ def change(state: State) -> None:
 @firmware
 def choose(state: State, n: int) -> int:
     return n if state.a > 0.0 else 0
+
+@firmware
+def bump(state: State) -> int:
+    state.n = (state.n + 1) % 2
+    return state.n
+
+@firmware
+def through(state: State) -> float:
+    part = state.list
+    part[0] += real(1.0, state.a)
+    return part[0]
+
+@firmware
+def again(x: float) -> float:
+    return x
+
+renamed = again
+
+@firmware
+def again(x: float) -> float:
+    return -x
 
 @firmware
 def pair(x: float) -> tuple[float, float]:
@@ -172,8 +197,8 @@ REFUSED = {
         "state.list[i]: index 8 is possible: must be from 0 to 3",
     "for i in range(4):\n        state.list[i - 1] = x":
         "state.list[i - 1]: index -1 is possible: must be from 0 to 3",
-    "for i in range(state.n):\n        state.list[i - 1] = x": "i - 1 can be any number",
-    "for i in range(state.n):\n        state.list[i] = x": "any index seems possible",
+    "n = state.n\n    for i in range(n):\n        state.list[i - 1] = x": "i - 1 can be any number",
+    "n = state.n\n    for i in range(n):\n        state.list[i] = x": "any index seems possible",
     "for i in range(3, -2, -1):\n        state.list[i] = x": "index -1 is possible",
     "for i in range(4):\n        for j in range(i, 3):\n            y = state.grid[i, j]":
         "state.grid[i, j]: index 2 is possible: must be from 0 to 1",
@@ -207,6 +232,21 @@ REFUSED = {
     "if not x < 0.0 and not x > 3.0:\n        y = state.list[int(x)]": "any number seems possible",
     "if x >= 0.0 and x < 5.0:\n        y = state.list[int(x)]": "index 5 is possible",
     "y = state.list[choose(state, 2)] + state.list[choose(state, 4)]": "index 4 is possible",
+    "k = 0\n    k = m = k + 1": "k + 1: must be a name or a literal to go to several places",
+    "state.list[:] = state.list[0] + x": "must be a name or a literal to go to several places",
+    "state.list[:] = count(state)": "must be a name or a literal to go to several places",
+    "y = state.grid[bump(state), state.n % 2]": "bump(state) changes something",
+    "state.grid[bump(state), state.n % 2] += x": "bump(state) changes something",
+    "y = through(state) + state.list[0]": "through(state) changes something",
+    "y, y = pair(x)": "y, y = pair(x): must be different names",
+    "y = real(NOTHING, x)\n    if y < 0.0:\n        pass\n    state.list[MANY - 1] = x":
+        "index 6 is possible",
+    "y = real(1e-50, x)\n    state.n = int(y / y)": "int(y / y): any number seems possible",
+    "state.a = state.list[8 % state.begun]": "must not divide by 0, which is possible",
+    "state.list[state.begun - 1] = x": "index -1 is possible",
+    "state.n = ANNOTATED": "ANNOTATED: must have an assignment in a module: ANNOTATED = 3",
+    "y = real(pi, x)": "pi: must have an assignment in a module: pi = 3.14159",
+    "y = renamed(x)": "renamed(x): must be a function of the target",
     "größe = x": "größe: must be a name in ASCII, as C has them",
 }  # fmt: skip
 
@@ -232,7 +272,9 @@ def test_what_is_outside_is_refused(translate: Translate, line: str) -> None:
         ("f(state: State, x: int)", "pass", "x is a real number: its annotation must say so"),
         ("f(state: State, x)", "pass", "x is a real number: its annotation must say so"),
         ("f(state: State, x: float)", "if x > 0.0:\n        return x", "must end with a return"),
-        ("f(state: State, x: float)", "return x, state.a", "must return names"),
+        ("f(state: State, x: float)", "return x, state.a", "must return different names"),
+        ("f(state: State, x: float)", "return x, x", "must return different names"),
+        ("f(state: State, x: float)", "return x, MANY", "must return different names"),
         ("f(state: State, x: float)", "if x > 0.0:\n        return x\n    return state.n",
          "returns an integer: must be a real number as before"),
     ],
@@ -268,6 +310,8 @@ def test_signatures_that_c_has_not_are_refused(
         "if state.of_table:\n        y = state.list[state.n % state.of_table]",
         "if not (x >= 0.0 and x < 4.0):\n        return\n    y = state.list[min(int(x), 3)]",
         "y = state.list[choose(state, 2)] + state.list[choose(state, 3)]",
+        "for i in range(2 if x > 0.0 else 3):\n        state.list[i] = x",
+        "y = state.list[1:][0]", "_ = x", "_ = count(state)", "s = state\n    s = s\n    s.a = x",
         "low = state.of_table < 4 and state.list[state.of_table] > x",
     ],
 )  # fmt: skip
