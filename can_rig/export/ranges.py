@@ -109,9 +109,12 @@ class _Proof:
                 if growths[key] > SETTLING and before is not None and each is not None:
                     least = each[0] if each[0] == before[0] else -math.inf
                     self.known[key] = (least, each[1] if each[1] == before[1] else math.inf)
+        settled = self.known
         for _ in range(2):
             self._follow()
             self.known = self.found
+        if self._grown():
+            self.known = settled  # taking back has taken too much
         self.checking = True
         self._follow()
 
