@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_model.design.actuator_dynamics import Stage, behind
+from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
 from firmware_model.design.continuous_design import (
     ContinuousDesign,
     DesignSpecification,
@@ -21,7 +21,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tables import algebraic_loop_gain, build, discretise
-from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.targets import Reporting, Target
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.law.structs import MAX_LATENCY_TICKS
 from tests.firmware.discretisation.test_coprime import PENDULUM
@@ -52,6 +52,13 @@ def test_a_loop_gain_of_one_or_more_is_refused() -> None:
     with pytest.raises(DesignError, match="algebraic loop"):
         build(steep, Target(1e-3))
     build(steep, Target(1e-3, estimator="zoh"))
+
+
+def test_more_ticks_than_the_law_counts_are_refused() -> None:
+    """An echo counts for 0.1 s, 1,677,722 ticks of 60 ns."""
+    target = Target(2.0**-24, 1, "zoh", echoes=(Reporting(IDEAL), Reporting(IDEAL)), noise_rms=0.01)
+    with pytest.raises(DesignError, match=r"echoes\.longest is 1677722: must be from 0 to 1000000"):
+        build(DESIGN, target)
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
