@@ -119,9 +119,8 @@ def weigh_witness(table: Table, own: State, y: float, expected: float, healthy: 
     turning, sliding = constants.speed * own.yaw_rate.value, own.acceleration.value
     weight, oldest = constants.lateral_weight, max(own.yaw_rate.age, own.acceleration.age)
     age = weight * own.acceleration.age + (one - weight) * own.yaw_rate.age + constants.late
-    if not (age >= 0.0 and age < real(KEPT_TICKS, age)):
-        return
-    if oldest > real(constants.longest, age) or not math.isfinite(witness):
+    counts = oldest <= real(constants.longest, age)
+    if not (counts and age >= 0.0 and age < real(KEPT_TICKS, age) and math.isfinite(witness)):
         return
     at = (own.index + KEPT_TICKS - int(age)) % KEPT_TICKS
     own.age = age
