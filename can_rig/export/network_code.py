@@ -15,7 +15,7 @@ from can_rig.errors import ExportError
 from can_rig.export.c_files import WIDTH, comment, plain
 from can_rig.frames.codec import FRAME_BYTES, MessageCodec
 from can_rig.frames.network import Network
-from can_rig.scenario.build import dbc_of
+from can_rig.scenario.build import dbc_of, heard_by_law
 from can_rig.scenario.sensor_settings import HEARD, SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
 
@@ -58,8 +58,7 @@ def sensors_of(
     """Number, frame and timing of each sensor that the law hears."""
     return [
         (HEARD.index(sensor.measures) + 1, codec, sensor.timing(scenario.tick_s))
-        for sensor, codec in zip(scenario.sensors, network.witnesses, strict=True)
-        if sensor.measures in scenario.heard
+        for sensor, codec in heard_by_law(scenario, network)
     ]
 
 

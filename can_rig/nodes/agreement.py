@@ -7,7 +7,7 @@ its own digest of the key and ends, with an error line that names the key; so bo
 plant node that has completed a tick goes on: a late controller with another scenario receives the
 digests and ends alone.
 
-Each announcement also asks for nodes of the same kind: a bus has one plant and one controller. A
+Each announcement also asks for nodes of the same kind: one plant and one controller share a bus. A
 node that hears such a question answers; before its first tick the node then ends, as does the node
 that asked. A controller node by hand in lockstep listens first, and sends no frame beside another
 controller. A rig on a bus that others can join asks before the rig starts, and answers while it

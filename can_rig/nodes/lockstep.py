@@ -44,6 +44,7 @@ from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.recording import PlantRecorder, Recorder
 from can_rig.nodes.run_control import FollowedFaults, RunControl
 from can_rig.plant.faults.frame_faults import FrameFaults
+from can_rig.scenario.build import heard_by_law
 from can_rig.scenario.settings import Scenario
 
 CONTROL: Final = "RIG_CONTROL"
@@ -503,8 +504,7 @@ class EcuNode(AnsweringNode):
         self._send = send
         self._ecu = ecu
         speed = () if network.speed is None else (network.speed,)
-        heard = zip(scenario.sensors, network.witnesses, strict=True)
-        further = (codec for sensor, codec in heard if sensor.measures in scenario.heard)
+        further = (codec for _, codec in heard_by_law(scenario, network))
         self._inputs = (network.reference, network.feedback, *speed, *further)
         self._wanted = {
             flagged(codec.frame_id, codec.extended, codec.fd)

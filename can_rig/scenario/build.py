@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 from can_rig.errors import ScenarioError
+from can_rig.frames.codec import MessageCodec
 from can_rig.frames.databases import shipped_dbc
 from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network, load_network
@@ -16,7 +17,12 @@ from can_rig.scenario.box import in_box, uncertain, with_lags
 from can_rig.scenario.log_signals import OF_SENSORS, LogSignal, terms, unit_factor
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
-from can_rig.scenario.sensor_settings import ECHOES, LATERAL_ACCELERATION, YAW_RATE
+from can_rig.scenario.sensor_settings import (
+    ECHOES,
+    LATERAL_ACCELERATION,
+    YAW_RATE,
+    FurtherSensor,
+)
 from can_rig.scenario.settings import Scenario
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
@@ -32,6 +38,12 @@ GOVERNED = 0.5  # share of the motor's limit granted to the second derivative of
 CAR_DECAYS_PER_S = 3.5  # the slowest mode of the car's F̂
 LONGEST_TICKS = 20_000  # limit for a car's response of one second
 SHAPED = 2  # relative degree of a G1 whose C uses the reference's second derivative
+
+
+def heard_by_law(scenario: Scenario, network: Network) -> list[tuple[FurtherSensor, MessageCodec]]:
+    """The further sensors that the law hears, each with its frame."""
+    frames = zip(scenario.sensors, network.witnesses, strict=True)
+    return [each for each in frames if each[0].measures in scenario.heard]
 
 
 def network_of(scenario: Scenario) -> Network:
