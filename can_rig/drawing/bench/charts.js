@@ -316,10 +316,10 @@ class Charts {
           if (this.onCursor) this.onCursor(this.at);
           this.showValues();
         }],
-        setSelect: [(u) => {
-          if (u.select.width < 4) return;
+        setSelect: [(u) => { // every chart shows the selection; the chart under the hand zooms all
+          if (u !== this.dragged || u.select.width < 4) return;
           this.zoom({ min: u.posToVal(u.select.left, "x"), max: u.posToVal(u.select.left + u.select.width, "x") });
-          u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+          for (const { plot } of this.plots) plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
         }],
       },
     }, [[], ...chart.keys.map(() => [])], figure);
@@ -343,6 +343,7 @@ class Charts {
     let from = null;
     over.addEventListener("mousedown", (event) => {
       from = { x: event.clientX, range: { ...plot.scales.x } };
+      this.dragged = plot;
       if (event.shiftKey) event.stopImmediatePropagation();
     }, true);
     over.addEventListener("mousemove", (event) => {
