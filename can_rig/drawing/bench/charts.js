@@ -301,7 +301,7 @@ class Charts {
       cursor: { sync: { key: "bench" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { this.zoom(null); return null; } } },
       scales: { x: { time: false }, y: words ? { range: wordRange(words) } : { linear: { range: wideEnough }, log: { distr: 3 }, asinh: { distr: 4, asinh: 10 } }[chart.scale] },
       axes: [
-        { stroke: ink, grid, font, size: isLast ? TIME_AXIS : 0, values: isLast ? (u, ticks) => ticks.map((v) => `${Number(v.toPrecision(7))} s`) : () => [], ticks: { show: isLast, stroke: rule } },
+        { stroke: ink, grid, font, size: isLast ? TIME_AXIS : 0, space: room, values: isLast ? (u, ticks) => ticks.map((v) => `${Number(v.toPrecision(10))} s`) : () => [], ticks: { show: isLast, stroke: rule } },
         { stroke: ink, grid, font, size: 78, space: 14, ticks: { stroke: rule }, ...splits },
       ],
       series: [{}, ...chart.keys.map((key) => {
@@ -375,6 +375,12 @@ class Charts {
   }
 
   mark(time_s) { this.pin = time_s === null || (this.pin !== null && Math.abs(time_s - this.pin) < 1e-9) ? null : time_s; this.draw(); }
+}
+
+// Pixels from tick to tick of the time, for all digits of its numbers.
+function room(u, axis, least, most, pixels) {
+  const digits = Math.max(0, Math.ceil(-Math.log10((50 * (most - least)) / pixels)));
+  return Math.max(50, 8 * (most.toFixed(0).length + digits + 3));
 }
 
 // A range with room that numbers can label; uPlot's own is empty for values that hardly differ.
