@@ -299,7 +299,7 @@ class Charts {
     const words = this.curves[chart.keys[0]].words;
     const splits = words ? wordAxis(words) : { linear: {}, log: DECADES, asinh: ASINH }[chart.scale];
     const plot = new uPlot({
-      width: Math.max(figure.clientWidth, 50), height: LEAST_HEIGHT, padding: [6, 12, isLast ? 0 : 6, 0],
+      width: Math.max(figure.clientWidth, 50), height: LEAST_HEIGHT, padding: [6, 24, isLast ? 0 : 6, 0],
       cursor: { sync: { key: "bench" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { this.zoom(null); return null; } } },
       scales: { x: { time: false }, y: words ? { range: wordRange(words) } : { linear: { range: wideEnough }, log: { distr: 3, range: or([0.01, 1], uPlot.rangeLog) }, asinh: { distr: 4, asinh: 10, range: or([0, 100], uPlot.rangeAsinh) } }[chart.scale] },
       axes: [
