@@ -46,7 +46,7 @@ def panels(scenario: Scenario, network: Network, signals: Signals) -> list[Panel
     names, charts = names_of(scenario.plant), charts_of(names_of(scenario.plant), None)
     looks = {curve.key: curve for curve in curves_of(names, network, None)}
     beside, label, distance = compared_with(scenario, signals)
-    far = apart(beside, signals, scenario.tick_s)
+    far = apart(beside, signals, scenario)
     unit = names.output.unit
     drawn = {
         "output": [
