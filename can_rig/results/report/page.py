@@ -143,6 +143,7 @@ def page(
             legend = axis.get_legend()
             for text in (*axis.texts, *([] if legend is None else [legend])):
                 text.remove()  # the panel at the left has the same
+        beside[4].ticklabel_format(axis="x", useOffset=False)
         beside[4].set_xlabel("around the fault, time in s")
     output, *commands = names
     for axis, name, unit in zip(
