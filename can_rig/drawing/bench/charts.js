@@ -1,7 +1,7 @@
 // Charts of signals over time, of a live run or a recorded run: one zoom, one cursor, one time axis.
 "use strict";
 
-const LEAST_HEIGHT = 70, TIME_AXIS = 30, PARTS = 6, STORED = "can-rig layouts";
+const LEAST_HEIGHT = 60, TIME_AXIS = 30, PARTS = 6, STORED = "can-rig layouts";
 const element = (name, more, ...children) => {
   const made = Object.assign(document.createElement(name), more);
   made.append(...children);
@@ -27,7 +27,8 @@ class Charts {
     const whole = element("button", { textContent: "Whole time", title: "show the whole time (double click, or key 0)" });
     whole.onclick = () => this.zoom(null);
     bar.append(this.add, whole, this.layouts(), this.time);
-    new ResizeObserver(() => this.resize()).observe(place);
+    this.sizes = new ResizeObserver(() => this.resize()); // of the place, and of captions whose values need another line
+    this.sizes.observe(place);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.remake());
   }
 
@@ -157,7 +158,7 @@ class Charts {
   index(time_s) { const time = this.data.time || []; return rowAt(time.length, (i) => time[i], time_s); }
 
   remake() {
-    for (const { plot, figure } of this.plots) { plot.destroy(); figure.remove(); }
+    for (const { plot, figure } of this.plots) { plot.destroy(); figure.remove(); this.sizes.unobserve(figure.querySelector("figcaption")); }
     if (!this.charts) return;
     const last = this.rows().at(-1) || [];
     this.plots = this.charts.map((chart) => this.make(chart, last.includes(chart)));
@@ -291,15 +292,16 @@ class Charts {
     figure.style.width = `${100 * (chart.width || 1)}%`;
     const corner = element("span", { className: "corner", title: "drag to resize" });
     figure.append(corner);
+    this.sizes.observe(caption);
     this.place.append(figure);
     this.arrange(figure, chart, title, corner);
     const grid = { stroke: rule, width: 1 }, font = "12px system-ui, sans-serif";
     const words = this.curves[chart.keys[0]].words;
-    const splits = words ? wordAxis(words) : { linear: {}, log: DECADES, asinh: ASINH }[chart.scale];
+    const splits = words ? wordAxis(words) : { linear: { values: numbers }, log: DECADES, asinh: ASINH }[chart.scale];
     const plot = new uPlot({
-      width: Math.max(figure.clientWidth, 50), height: LEAST_HEIGHT, padding: [6, 12, isLast ? 0 : 6, 0],
+      width: Math.max(figure.clientWidth, 50), height: LEAST_HEIGHT, padding: [6, 24, isLast ? 0 : 6, 0],
       cursor: { sync: { key: "bench" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { this.zoom(null); return null; } } },
-      scales: { x: { time: false }, y: words ? { range: wordRange(words) } : { linear: { range: wideEnough }, log: { distr: 3 }, asinh: { distr: 4, asinh: 10 } }[chart.scale] },
+      scales: { x: { time: false }, y: words ? { range: wordRange(words) } : { linear: { range: wideEnough }, log: { distr: 3, range: or([0.01, 1], uPlot.rangeLog) }, asinh: { distr: 4, asinh: 10, range: or([0, 100], uPlot.rangeAsinh) } }[chart.scale] },
       axes: [
         { stroke: ink, grid, font, size: isLast ? TIME_AXIS : 0, space: room, values: isLast ? (u, ticks) => ticks.map((v) => `${Number(v.toPrecision(10))} s`) : () => [], ticks: { show: isLast, stroke: rule } },
         { stroke: ink, grid, font, size: 78, space: 14, ticks: { stroke: rule }, ...splits },
@@ -383,11 +385,20 @@ function room(u, axis, least, most, pixels) {
   return Math.max(50, 8 * (most.toFixed(0).length + digits + 3));
 }
 
+// The range of values on a scale of powers of ten; `otherwise` without values.
+const or = (otherwise, range) => (u, least, most) => (least === null ? otherwise : range(least, most, 10, false));
+
 // A range with room that numbers can label; uPlot's own is empty for values that hardly differ.
 function wideEnough(u, least, most) {
   if (least === null || (least === 0 && most === 0)) return [-1, 1];
-  const half = 0.55 * Math.max(most - least, 1e-5 * Math.max(Math.abs(least), Math.abs(most)), 1e-9), middle = (least + most) / 2;
+  const half = 0.55 * Math.max(most === least ? 0.2 * Math.abs(most) : most - least, 1e-5 * Math.max(Math.abs(least), Math.abs(most)), 1e-9), middle = (least + most) / 2;
   return [middle - half, middle + half];
+}
+
+// Numbers with all digits in which the ticks differ.
+function numbers(u, ticks, axis, space, step) {
+  const largest = Math.max(...ticks.map(Math.abs)), digits = new Intl.NumberFormat("en", { maximumFractionDigits: Math.min(Math.max(Math.ceil(1 - Math.log10(step) - 1e-9), 0), 12) });
+  return ticks.map((v) => (v !== 0 && (largest < 1e-3 || largest >= 1e7) ? Number(v.toPrecision(4)).toExponential() : digits.format(v)));
 }
 
 // Axes with a number for each decade, and for some values on both sides of zero.
