@@ -12,7 +12,7 @@ from collections.abc import Container, Sequence
 from typing import Final, NamedTuple
 
 from can_rig.logs.columns import APPLIED, EVIDENCE, EVIDENCE_OF, TAKEN, TRUE_OUTPUT
-from can_rig.scenario.disturbance_settings import DisturbanceSettings
+from can_rig.scenario.disturbance_settings import PUSH, DisturbanceSettings
 from can_rig.scenario.fault_settings import CONTROLLER, PLACES, RESTARTED, FaultSettings
 from can_rig.scenario.plant_settings import PlantSettings, SignalSettings
 from can_rig.scenario.sensor_settings import ECHOES, MEASURED, USUAL
@@ -159,9 +159,10 @@ def disturbance_label(disturbance: DisturbanceSettings) -> str:
         "turbulence": ("turbulence of", of.intensity_n, "N rms"),
         "bank": ("road banked by", of.bank_percent, "%"),
         "steering-kick": ("steering kick of", of.torque_nm, "N m"),
+        PUSH: ("push of", of.size, ""),
     }
     what, size, unit = words[of.kind]
-    return f"{what} {size:g} {unit}"
+    return f"{what} {size:g} {unit}".rstrip()
 
 
 def disturbance_in_words(disturbance: DisturbanceSettings, end_s: float) -> str:

@@ -16,7 +16,7 @@ from can_rig.errors import ScenarioError
 from can_rig.logs.columns import APPLIED, TRUE_OUTPUT
 from can_rig.plant.actuators import FollowedCommand
 from can_rig.plant.disturbances import Disturbances
-from can_rig.plant.protocol import GuardedPlant, load_plant, require_world
+from can_rig.plant.protocol import GuardedPlant, load_plant
 from can_rig.plant.sensor import FilteredSamples
 from can_rig.scenario.build import but_for_noise, continuous_car, continuous_plant
 from can_rig.scenario.plant_settings import PlantSettings
@@ -224,7 +224,7 @@ class ClassBehind:
     With immediate actuators and an immediate sensor, one step spans the whole tick.
 
     Raises:
-        ScenarioError: a class that violates ``PlantProtocol``, or that the world cannot push.
+        ScenarioError: a class that violates ``PlantProtocol``.
     """
 
     def __init__(
@@ -235,8 +235,6 @@ class ClassBehind:
         world: Disturbances | None = None,
     ) -> None:
         plant = load_plant(settings.kind, settings)
-        if world is not None:
-            require_world(settings.kind, plant)
         self._world, self._tick, self._speed_mps = world, 0, settings.speed_mps
         self._plant = GuardedPlant(settings.kind, plant)
         actuator_1, actuator_2, sensor = settings.stages
@@ -269,6 +267,11 @@ class ClassBehind:
             APPLIED[1]: self._actuators[1].output(command_2, left_2),
             **({} if self._world is None else self._world.report(self._tick)),
         }
+
+    def push(self, world: Disturbances) -> None:
+        """From this tick on, another world."""
+        assert self._world is not None
+        self._world = world
 
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float
@@ -315,6 +318,8 @@ class ClassBehind:
             return []
         now, then = self._world.during(self._tick)
         self._tick += 1
+        if self._world.is_calm:
+            return []
         parts = np.arange(self._steps + 1)[:, None] / self._steps
         rows = np.hstack([now + parts * (then - now), np.full_like(parts, self._speed_mps)])
         return [rows[step : step + 2] for step in range(self._steps)]

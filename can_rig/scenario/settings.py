@@ -17,7 +17,7 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from pydantic.dataclasses import dataclass
 
 from can_rig.scenario.controller_settings import ControllerSettings
-from can_rig.scenario.disturbance_settings import DisturbanceSettings
+from can_rig.scenario.disturbance_settings import NEEDED, PUSH, DisturbanceSettings
 from can_rig.scenario.fault_settings import (
     CHANNELS,
     MAX_DURATION_S,
@@ -33,6 +33,7 @@ from can_rig.scenario.plant_settings import (
     BY_NUMBERS,
     CAR,
     NUMBERS,
+    PUSHED_BY,
     SIGNALS,
     STRICT,
     PlantSettings,
@@ -414,11 +415,7 @@ class Scenario:
                 raise ValueError(f"model.{key}: must be plant.{key}; a signal has one name")
         _refuse_speeds(self)
         self.controller.refuse_other_tick(self.tick_s)
-        if self.disturbances and self.plant.kind in BY_NUMBERS:
-            raise ValueError(
-                f"disturbance: plant.kind = {self.plant.kind!r}: must be {CAR} or a class; a plant "
-                "by numbers has no side, no road and no column"
-            )
+        _refuse_disturbances(self)
         _refuse_sensors(self)
         _refuse_limits_of_the_model(self.model)
         _refuse_long_dead_times("plant", self.plant, self.tick_s)
@@ -595,6 +592,24 @@ def _refuse_speeds(scenario: Scenario) -> None:
     for before, after in itertools.pairwise(speeds or ()):
         if not after > before:
             raise ValueError(f"design.speeds_mps: {after:g} after {before:g}: must increase")
+
+
+def _refuse_disturbances(scenario: Scenario) -> None:
+    """Refuse what pushes another plant: a car has sides and a road, any other plant ``PUSH``."""
+    plant = scenario.plant
+    for each in scenario.disturbances:
+        if (each.kind == PUSH) == plant.is_car:
+            of_cars = ", ".join(kind for kind in NEEDED if kind != PUSH)
+            right = of_cars if plant.is_car else PUSH
+            raise ValueError(
+                f"disturbance.kind = {each.kind!r}: must be {right} for plant.kind = {plant.kind!r}"
+            )
+        key = PUSHED_BY.get(plant.kind)
+        if key and not getattr(plant, key):
+            raise ValueError(
+                f"plant.{key}: must be set for a disturbance of plant.kind = {plant.kind!r}: how "
+                "the world pushes"
+            )
 
 
 def _refuse_sensors(scenario: Scenario) -> None:
