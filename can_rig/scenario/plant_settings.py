@@ -97,13 +97,16 @@ class ForceDifferenceActuator(ActuatorLag):
 class SensorSettings:
     """The sensor of D*: a dead time, a filter, noise and a resolution, in this order.
 
-    The filter colours the noise; the rms describes the coloured noise.
+    The filter colours the noise; the rms describes the coloured noise. A car without this sensor
+    (``is_made``) has a yaw rate and a lateral acceleration, of which the controller makes D*:
+    corner and dead time are those of both, and the noise serves ``tune`` alone.
     """
 
     noise_mps2: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
     resolution_mps2: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
     corner_hz: Annotated[float, Field(ge=1e-3, le=1e5)] | None = None
     dead_time_s: DeadTime = 0.0
+    is_made: bool = False
 
     @property
     def lag_s(self) -> float:

@@ -22,6 +22,7 @@ from can_rig.scenario.fault_settings import (
     CHANNELS,
     MAX_DURATION_S,
     PLACES,
+    SENSOR,
     FaultSettings,
     Moment,
     Outage,
@@ -417,6 +418,8 @@ class Scenario:
         self.controller.refuse_other_tick(self.tick_s)
         _refuse_disturbances(self)
         _refuse_sensors(self)
+        if self.plant.sensor.is_made or self.model.sensor.is_made:
+            _refuse_made(self)
         _refuse_limits_of_the_model(self.model)
         _refuse_long_dead_times("plant", self.plant, self.tick_s)
         _refuse_long_dead_times("model", self.model, self.tick_s)
@@ -654,6 +657,53 @@ def _refuse_sensors(scenario: Scenario) -> None:
             sensor.refuse_times(scenario.tick_s)
         except ValueError as error:
             raise ValueError(f"{where}.{error}") from None
+
+
+def made_noise(
+    car: PlantSettings, turning: FurtherSensor, lateral: FurtherSensor
+) -> tuple[float, float]:
+    """Rms of the noise, and the step, of d a + (1 - d) V γ (3.8), m/s²."""
+    factors = (1.0 - car.lateral_weight) * car.speed_mps, car.lateral_weight
+    return (
+        math.hypot(factors[0] * turning.noise_rms, factors[1] * lateral.noise_rms),
+        math.hypot(factors[0] * turning.step, factors[1] * lateral.step),
+    )
+
+
+def _refuse_made(scenario: Scenario) -> None:
+    """Refuse what a D* made of two sensors cannot be, and a ``plant.sensor`` of other numbers."""
+    key, found = "plant.sensor.is_made", {each.measures: each for each in scenario.sensor}
+    pair = [found.get(each) for each in (YAW_RATE, LATERAL_ACCELERATION)]
+    turning, lateral = pair
+    if scenario.model.sensor.is_made != scenario.plant.sensor.is_made:
+        raise ValueError("model.sensor.is_made: must be left to plant.sensor.is_made")
+    if not scenario.plant.is_car or turning is None or lateral is None:
+        raise ValueError(
+            f"{key}: must be false without the sensors {YAW_RATE!r} and {LATERAL_ACCELERATION!r} "
+            "of a car"
+        )
+    if scenario.controller.is_ours and scenario.design.supervision == "none":
+        raise ValueError(f"{key}: must be false for design.supervision = 'none'")
+    timing = turning.timing(scenario.tick_s)
+    if timing[:2] != (1, 0) or timing != lateral.timing(scenario.tick_s):
+        raise ValueError(
+            f"{key}: must be false, or both sensors have period_s = {scenario.tick_s:g}, a tick, "
+            "and the same delay_s"
+        )
+    if turning.lag_s != lateral.lag_s:
+        raise ValueError(f"{key}: must be false, or both sensors have the same corner_hz")
+    if any(fault.place == SENSOR for fault in scenario.faults):
+        raise ValueError(f"fault: must be of {YAW_RATE!r} or {LATERAL_ACCELERATION!r}: {key}")
+    corner_hz = 1.0 / (2.0 * math.pi * lateral.lag_s) if lateral.lag_s else None
+    own = scenario.plant.sensor
+    for name, given, right in (
+        ("corner_hz", own.corner_hz, corner_hz),
+        ("dead_time_s", own.dead_time_s, lateral.delay_s),
+    ):
+        if abs((given or 0.0) - (right or 0.0)) > 1e-3 * (right or 0.0):
+            raise ValueError(
+                f"plant.sensor.{name}: must be {right or 0:.4g}, as both sensors make D*"
+            )
 
 
 def _refuse_limits_of_the_model(model: PlantSettings) -> None:
