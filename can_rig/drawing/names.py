@@ -46,6 +46,8 @@ class Names(NamedTuple):
     def at(self, place: str) -> Signal:
         """The signal of an actuator or a sensor, by the word of a fault's place."""
         if place in MEASURED:
+            if place in OUTPUTS and self != CAR:
+                return Signal(OUTPUTS[place])
             units = ("rad/s", "m/s²", "rad", self.command_1.unit, self.command_2.unit)
             return Signal(place.replace("-", " "), units[MEASURED.index(place)])
         return self[(1, 2, 0)[PLACES.index(place)]]
@@ -56,6 +58,10 @@ CAR: Final = Names(
     Signal("steering torque", "N m", "torque", "the torque"),
     Signal("rear force difference", "N", "X_diff", "X_diff"),
 )
+OUTPUTS: Final = {
+    each: f"output {number}" for number, each in enumerate(MEASURED[: -len(ECHOES)], start=2)
+}
+"""Names of the further outputs of a plant other than a car, by their sensors."""
 BY_NUMBERS: Final = ("output y", "input 1", "input 2")
 """Names of signals that the scenario leaves unnamed."""
 
@@ -223,10 +229,12 @@ def column_names(plant: PlantSettings, further: Container[str] = ()) -> dict[str
     signals = names_of(plant)
     endings = [OF_CAR[each][1] if each in OF_CAR else _ending(each.unit) for each in signals]
     stems = [OF_CAR[each][0] if each in OF_CAR else _word(each.name) for each in signals]
+    outputs = {} if plant.is_car else OUTPUTS
     names = _columns(stems, endings)
     others = set(TAKEN) - set(names)
     if not all(stems) or len({*names.values()} - others) < len(names):
         names = _columns(ROLES, endings)
+    names |= {USUAL[each].column: f"measured_{_word(said)}" for each, said in outputs.items()}
     return {column: column if name in further else name for column, name in names.items()}
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -31,6 +32,7 @@ from firmware_model.analysis.witnesses import (
     with_readings,
 )
 from firmware_model.design.actuator_dynamics import IDEAL, Stage
+from firmware_model.design.plants import Plant, push
 from firmware_model.design.vehicle import SPECIFIC_FORCE
 from firmware_model.law.structs import FloatArray
 
@@ -90,6 +92,18 @@ _READS: Final[dict[str, int]] = {
 }
 
 
+def with_outputs(plant: Plant, sensors: Sensors) -> Plant:
+    """``plant`` with what the further outputs of a plant by numbers read of its states."""
+    outputs = {_READS[each.measures]: each.c for each in sensors if each.c is not None}
+    if not outputs:
+        return plant
+    world = plant.world or push(np.zeros(len(plant.a)))
+    rows = world.rows.copy()
+    for at, row in outputs.items():
+        rows[at, : len(row)] = row
+    return replace(plant, world=replace(world, rows=rows))
+
+
 @remembered(16, by=but_for_noise)
 def sampled_plant(settings: PlantSettings, tick_s: float, sensors: Sensors = ()) -> SampledPlant:
     """A linear plant behind its actuators and its sensors between two ticks.
@@ -97,9 +111,8 @@ def sampled_plant(settings: PlantSettings, tick_s: float, sensors: Sensors = ())
     Raises:
         ScenarioError: a car that is not stable.
     """
-    plant, readings = with_readings(
-        continuous_plant(settings), settings.stages, readings_of(sensors)
-    )
+    bare = with_outputs(continuous_plant(settings), sensors)
+    plant, readings = with_readings(bare, settings.stages, readings_of(sensors))
     return sample(plant, tick_s, readings)
 
 

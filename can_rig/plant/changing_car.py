@@ -16,6 +16,7 @@ from can_rig.plant.behind import (
     plant_behind,
     readings_of,
     sampled_plant,
+    with_outputs,
 )
 from can_rig.plant.disturbances import BANK, BLOCK, Disturbances
 from can_rig.plant.protocol import is_pushable, require_world
@@ -85,7 +86,8 @@ def _changing(
 ) -> ChangingPlant:
     readings = readings_of(sensors)
     if not settings.is_car:
-        return pushed_plant(continuous_car(settings), settings.stages, tick_s, readings)
+        pushed = with_outputs(continuous_car(settings), sensors)
+        return pushed_plant(pushed, settings.stages, tick_s, readings)
     return changing_plant(
         settings, settings.variant, settings.stages, fastest_mps, tick_s, readings
     )

@@ -31,12 +31,13 @@ from can_rig.scenario.fault_settings import (
 from can_rig.scenario.log_signals import OF_A_CAR, OF_SENSORS, Role
 from can_rig.scenario.plant_settings import (
     BUILT_IN,
-    BY_NUMBERS,
     CAR,
     NUMBERS,
     PUSHED_BY,
     SIGNALS,
+    STATE_SPACE,
     STRICT,
+    TRANSFER_FUNCTIONS,
     PlantSettings,
     SignalSettings,
 )
@@ -483,9 +484,10 @@ class Scenario:
     def heard(self) -> tuple[Measured, ...]:
         """What the rig's own law hears beside reference and D*, in the order of ``HEARD``.
 
-        Yaw rate and lateral acceleration count only together.
+        Yaw rate and lateral acceleration count only together, and only of a car.
         """
         found = {each.measures for each in self.sensor}
+        found -= set() if self.plant.is_car else set(MEASURED) - set(ECHOES)
         witness = {YAW_RATE, LATERAL_ACCELERATION}
         return tuple(
             each for each in HEARD if each in found and (each in ECHOES or witness <= found)
@@ -643,10 +645,19 @@ def _refuse_sensors(scenario: Scenario) -> None:
                 "sensor already"
             )
         seen.add(sensor.measures)
-        if scenario.plant.kind in BY_NUMBERS and sensor.measures not in ECHOES:
+        is_output = scenario.plant.kind == STATE_SPACE and sensor.measures not in ECHOES
+        if scenario.plant.kind == TRANSFER_FUNCTIONS and sensor.measures not in ECHOES:
             raise ValueError(
                 f"{where}.measures = {sensor.measures!r}: must be {' or '.join(ECHOES)}; a plant "
-                "by numbers has no yaw and no steering"
+                f"with further outputs needs plant.kind = {STATE_SPACE!r}"
+            )
+        states = len(scenario.plant.a or ())
+        if is_output and len(sensor.c or ()) != states:
+            raise ValueError(f"{where}.c: must have {states} numbers, as many as plant.a has rows")
+        if sensor.c is not None and not is_output:
+            raise ValueError(
+                f"{where}.c: must be left out; only a further output of plant.kind = "
+                f"{STATE_SPACE!r} has it"
             )
         if sensor.signal and not scenario.plant.is_own:
             raise ValueError(

@@ -29,6 +29,7 @@ from tests.helpers import DBC
 MADE = (
     "plant.sensor.is_made=true", "plant.sensor.corner_hz=50", "design.alpha=4", "design.alpha_q=5",
 )  # fmt: skip
+ALONE = ["design.supervision=none", "design.compensation=always"]
 SHORT = ("duration_s=6", "fault.at_s=3")
 YAW_RATE, ACCELERATION = 3, 4
 """Their numbers for ``Firmware.hear``."""
@@ -122,7 +123,7 @@ def test_a_wrong_sensor_is_a_wrong_output() -> None:
         ("chassis-cluster", ["sensor.1.corner_hz=20"], "or both sensors have the same corner_hz"),
         ("chassis-cluster", ["plant.sensor.corner_hz=20"], "sensor.corner_hz: must be 50, as"),
         ("chassis-cluster", ["plant.sensor.dead_time_s=0.1"], "sensor.dead_time_s: must be 0"),
-        ("chassis-cluster", ["design.supervision=none", "design.compensation=always"], "for design.supervision = 'none'"),
+        ("chassis-cluster", ALONE, "for design.supervision = 'none'"),
         ("chassis-cluster", ["model.sensor.is_made=false"], "sensor.is_made: must be left to"),
         ("chassis-cluster", ["fault.kind=sensor-dead"], "fault: must be of 'yaw-rate' or"),
     ],
