@@ -59,10 +59,7 @@ def command(
     scenario, _, signals = read_run(run)
     drawn = scene(scenario, signals)
     if drawn is None:
-        raise LogError(
-            f"{run}: nothing to draw; a plant must be a car that reports its motion, "
-            "or have an output in rad or m"
-        )
+        raise LogError(f"{run}: nothing to draw; the run has no tick")
     begin_s, end_s = span_of(drawn)
     begin_s, end_s = (begin_s if from_s is None else from_s), (end_s if to_s is None else to_s)
     if not begin_s < end_s:

@@ -11,7 +11,16 @@ from typing import Final
 
 from can_rig.drawing.names import names_of
 from can_rig.export.c_files import constants_files, plain
-from can_rig.export.law import HEARS, SENSORS, SINGLE, law_files, numbers_of, parts_of, support
+from can_rig.export.law import (
+    HEARS,
+    SENSORS,
+    SINGLE,
+    check_declarations,
+    law_files,
+    numbers_of,
+    parts_of,
+    support,
+)
 from can_rig.export.network_code import NetworkCode, sensors_of, signal_comment
 from can_rig.export.prefix import with_prefix
 from can_rig.export.provenance import as_bytes, with_provenance
@@ -46,6 +55,7 @@ def application(scenario: Scenario) -> dict[str, str]:
         ExportError: the law uses syntax outside the C subset, or a signal cannot be exported.
     """
     require_ours(scenario, "the control law as C")
+    check_declarations()
     network = network_of(scenario)
     code = NetworkCode(scenario, network)
     of, names = controls(scenario, network), names_of(scenario.plant)

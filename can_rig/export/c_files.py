@@ -50,7 +50,7 @@ LAST_RESORT: Final = 99  # deeper than any nesting
 
 WORDS: Final = f"""
     {KEYWORDS}
-    NULL EOF errno assert NAN INFINITY memset memcpy
+    NULL EOF errno assert NAN INFINITY memset memcpy linux unix
     sqrt sqrtf ceil ceilf rint rintf fabs fabsf signbit
     real real_is_finite real_min real_max real_copysign int_min int_max int_modulo REAL_H
 """

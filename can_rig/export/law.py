@@ -95,6 +95,16 @@ def _target_sources() -> Sources:
     return sources
 
 
+def check_declarations() -> None:
+    """Check the structs of the law, before a table is built of them.
+
+    Raises:
+        ExportError: a field is declared wrongly.
+    """
+    for module in _target_sources().modules.values():
+        _ = module.structs
+
+
 def law_modules() -> dict[str, str]:
     """The full name of each module of the law, by its file's name in C."""
     found = _target_sources().modules.values()

@@ -14,7 +14,7 @@ ENUM: Final = re.compile(r"^enum (?:\w+ )?\{(.*?)^\};", re.M | re.S)
 NAMED: Final = (
     re.compile(r"^#define (\w+)", re.M),
     re.compile(r"^typedef .*?(\w+);", re.M),
-    re.compile(r"^(?:extern )?const (?:struct )?\w+ (\w+)(?:\[\])?(?: =|;)", re.M),
+    re.compile(r"^(?:extern )?const (?:struct )?\w+ (\w+)(?:\[\w*\])?(?: =|;)", re.M),
     re.compile(r"^(?:static inline )?(?!static|typedef|return)\w[\w *]*?\b(\w+)\(", re.M),
 )
 """Macros, types, objects and functions, as exported files declare them."""

@@ -242,7 +242,9 @@ def self_test_data(of: Scheduled, amplitude: float, hears: bool) -> str:
         lines.append(f"    {{{', '.join(number(float(each), precision) for each in row)}}},")
     lines += ["};", "", "const struct self_test_data self_test_data = {"]
     lines += [f"    .{each} = {each}," for each in ("ticks", "parts", *spans)]
-    lines += [f"    .crc_of_constants = 0x{zlib.crc32(constants):08X}u,"]
-    lines += [f"    .fingerprint = 0x{fingerprint(of.table, of.schedule) % (1 << 32):08X}u,"]
+    version = fingerprint(of.table, of.schedule) % (1 << 32)
+    guarded = constants + version.to_bytes(4, "little")
+    lines += [f"    .crc_of_constants = 0x{zlib.crc32(guarded):08X}u, /* and of the next */"]
+    lines += [f"    .fingerprint = 0x{version:08X}u,"]
     lines += [f"    .crc_of_answers = 0x{known.crc:08X}u,", "};"]
     return "\n".join(lines) + "\n"

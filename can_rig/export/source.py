@@ -156,11 +156,19 @@ class Module:
 
     @cached_property
     def structs(self) -> dict[type[Struct], CStruct]:
-        """The module's structs, by their declaration."""
+        """The module's structs, by their declaration.
+
+        Raises:
+            ExportError: a field is declared wrongly.
+        """
         found = {}
         for node in self.tree.body:
             declared = self.lookup(node.name) if isinstance(node, ast.ClassDef) else None
             if isinstance(declared, type) and issubclass(declared, Struct):
+                try:
+                    fields_of(declared)
+                except TypeError as error:
+                    raise self.refuse(_declaration(node, str(error)), str(error)) from None
                 tag = f"{self.name}_{snake(declared.__name__)}"
                 found[declared] = CStruct(self.name, tag, declared, node.lineno)
         return found
@@ -223,6 +231,13 @@ class Sources:
             return None
         found = (module.structs.get(declared) for module in self.modules.values())
         return next((struct for struct in found if struct), None)
+
+
+def _declaration(struct: ast.stmt, error: str) -> ast.stmt:
+    """Where a struct declares the field that an error of ``fields_of`` names; else the struct."""
+    name = error.partition(":")[0].rpartition(".")[2]
+    fields = (each for each in getattr(struct, "body", []) if isinstance(each, ast.AnnAssign))
+    return next((each for each in fields if ast.unparse(each.target) == name), struct)
 
 
 def snake(words: str) -> str:

@@ -20,6 +20,7 @@ ON_THE_BUS: Final = (
 
 TRUE_OUTPUT: Final = "true_dstar_mps2"
 APPLIED: Final = ("applied_torque_nm", "applied_force_difference_n")
+SECOND_MASS: Final = "second_mass_m"
 SPEED: Final = "speed_mps"
 """Speed of the car, if the plant has a drive."""
 VERDICT: Final = "verdict"

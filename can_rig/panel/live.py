@@ -26,7 +26,9 @@ from can_rig.logs.columns import EVIDENCE
 from can_rig.plant.faults.injection import injected
 from can_rig.results.isolation import Reasoning, in_words
 from can_rig.results.signals import CODES, ROLE_COLUMNS, SignalRows
+from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.sampled_plant import held_input
 from firmware_model.law.status import Verdict
 from firmware_model.law.structs import FloatArray
 
@@ -163,6 +165,28 @@ class Frames(can.Listener):
         time.sleep(ERROR_PAUSE_S)  # a bus that is down fails again at once
 
 
+class SecondMass:
+    """The position of a plant's second mass, from the inputs as applied since the first tick."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._at = scenario.plant.second_mass
+        if self._at is not None:
+            plant = continuous_plant(scenario.plant)
+            stable = np.linalg.eigvals(plant.a).real.max() < 0.0  # else an error would grow
+            self._at = self._at if stable else None
+            self._phi, self._gamma, _ = held_input(plant.a, plant.b, scenario.tick_s, (0.0, 0.0))
+            self._state, self._inputs = np.zeros(len(plant.a)), np.zeros(2)
+
+    def next(self, applied: tuple[float, float]) -> float:
+        """The position at the next tick, from which the inputs ``applied`` act; nan: none."""
+        if self._at is None:
+            return math.nan
+        self._inputs = np.where(np.isfinite(applied), applied, self._inputs)
+        position = float(self._state[self._at])
+        self._state = self._phi @ self._state + self._gamma @ self._inputs
+        return position
+
+
 class LiveSignals:
     """A bus under observation, and the rows that the screen has not received yet.
 
@@ -200,6 +224,7 @@ class LiveSignals:
         self._moved_tick: int | None = None
         self._motion: dict[int, tuple[float, ...]] = {}
         self._pose = (0.0, 0.0, 0.0)
+        self._second_mass = SecondMass(scenario)
         self._commands = {each.frame_id: each for each in (network.command_1, network.command_2)}
         self._early: deque[int] = deque(maxlen=MOST_EARLY)
         self._operator_ids = frozenset(identifiers)
@@ -319,13 +344,14 @@ class LiveSignals:
         said, further = heard[: ROLE_COLUMNS + CODES], heard[ROLE_COLUMNS + CODES :]
         names = (*self._rows.sensors, *self._rows.sample_ages)
         samples = samples_in(dict(zip(names, further, strict=True)))
-        evidence = self._evidence(tick, samples, *heard[:4])
+        evidence, applied = self._evidence(tick, samples, *heard[:4]), self._applied_in(tick)
+        still = (self._second_mass.next(applied), *NO_MOTION[1:])
         return (
             tick * self._scenario.tick_s,
             *said,
-            *self._applied_in(tick),
+            *applied,
             *evidence,
-            *self._motion.pop(tick, NO_MOTION),
+            *self._motion.pop(tick, still),
         )
 
     def _evidence(

@@ -271,6 +271,8 @@ def _listening(port: int) -> socket.socket:
         listening.bind((NAMES[0], port))
     except OSError as error:
         listening.close()
-        raise BusError(f"port {port}: cannot be opened: {one_line(error)}") from None
+        raise BusError(
+            f"port {port}: cannot be opened: {one_line(error)}; choose another --port, or 0"
+        ) from None
     listening.listen()
     return listening

@@ -24,6 +24,9 @@ from can_rig.scenario.settings import Scenario
 ENDED_WELL: Final = (0, INTERRUPTED)
 """Exit statuses of a run that ended by itself or was stopped."""
 
+NEAR_S: Final = 1.0
+"""Before the end of a run, the panel may lack ticks of nodes that have ended as planned."""
+
 MOST_LINES: Final = 12
 """Of what a run has said that are kept."""
 
@@ -69,6 +72,8 @@ class Session:
     """Of the run that ended last."""
     _noted: bool = False
     """Whether the end of the panel's own run is noted."""
+    _stopped: bool = False
+    """Whether the panel has told its run to end."""
     _process: asyncio.subprocess.Process | None = None
 
     def __post_init__(self) -> None:
@@ -117,6 +122,10 @@ class Session:
                 f"The {node} node is silent since {here} of the run: "
                 "the node was killed, hangs, or has left the bus."
             )
+            return State("silent", says, self._stop)
+        early = self.live.lamps.time_s < self.scenario.duration_s - NEAR_S
+        if self.running and early and not self._stopped:
+            says = f"Both nodes are silent since {here}: a node was killed, or has ended."
             return State("silent", says, self._stop)
         if self.running:
             return State("finishing", f"The run stands at {here}; its folder is being written.")
@@ -177,7 +186,7 @@ class Session:
         """Start a run of the scenario on this bus, paced at real time."""
         if self.running:
             return
-        self.said, self.folder, self._noted = [], None, False
+        self.said, self.folder, self._noted, self._stopped = [], None, False, False
         self.renew()
         arguments = [argument for setting in self.settings for argument in ("--set", setting)]
         self._process = await asyncio.create_subprocess_exec(
@@ -204,6 +213,7 @@ class Session:
         """End the run, and wait for the whole run folder: after an hour that takes minutes."""
         if not self.running or self._process is None:
             return
+        self._stopped = True
         self._process.send_signal(signal.SIGTERM)  # SIGINT is ignored under a shell's &
         await self._process.wait()
 

@@ -14,7 +14,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from can_rig.errors import ScenarioError
-from can_rig.logs.columns import APPLIED, TRUE_OUTPUT
+from can_rig.logs.columns import APPLIED, SECOND_MASS, TRUE_OUTPUT
 from can_rig.plant.actuators import FollowedCommand
 from can_rig.plant.disturbances import Disturbances
 from can_rig.plant.protocol import GuardedPlant, load_plant
@@ -128,7 +128,9 @@ class LinearBehind:
         self._tick = 0
         self.read(0.0, 0.0, 1.0, 1.0)
         self._output = 0.0
-        self._names = CAR_STATES if settings.is_car else ()
+        second = settings.second_mass
+        beside = () if second is None else (*[None] * second, SECOND_MASS)
+        self._names = CAR_STATES if settings.is_car else beside
         at = len(continuous_car(settings).a)
         self._actuators: list[int | None] = []  # index of each lag's output in the state
         for stage in settings.stages[:2]:

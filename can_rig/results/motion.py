@@ -16,6 +16,7 @@ import numpy as np
 from can_rig import paged
 from can_rig.drawing.names import fault_label, names_of
 from can_rig.errors import RigError
+from can_rig.logs.columns import SECOND_MASS
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.without_bus import run_without_bus
 from can_rig.results.counterfactual import applied_commands
@@ -134,8 +135,8 @@ def _track_of_run(scenario: Scenario, step: int) -> Track | None:
 def scene(scenario: Scenario, signals: Signals) -> dict[str, Any] | None:
     """The numbers of the drawing for ``scene.js``: a row for each 20 ms; None: nothing to draw.
 
-    A car has its tracks, and ``other`` names the second car; another plant has the angle or the
-    position that is its output.
+    A car has its tracks, and ``other`` names the second car; another plant has its output, and the
+    position ``x`` of a second mass, if any.
     """
     if not len(signals):
         return None
@@ -152,14 +153,12 @@ def scene(scenario: Scenario, signals: Signals) -> dict[str, Any] | None:
                     columns[prefix + name.rpartition("_")[0]] = values
     else:
         drawn |= {"output": signals.dstar_mps2, "reference": signals.reference_mps2}
-    setting = setting_of(scenario)
-    if setting is None or (found is None) == (setting["kind"] == "car"):
-        return None
+        drawn |= {"x": signals.plant[SECOND_MASS]} if SECOND_MASS in signals.plant else {}
     for name, values in drawn.items():
         columns[name] = values[::step].copy()
         paged.let_go()
     return {
-        **setting,
+        **setting_of(scenario, found is not None),
         "dead": dead_of(scenario),
         "other": "without compensation",
         "columns": columns,
@@ -170,20 +169,26 @@ def _moves(signals: Signals) -> bool:
     return YAW_RATE in signals.plant
 
 
-def setting_of(scenario: Scenario) -> dict[str, Any] | None:
-    """What ``scene.js`` draws: a car with its sizes, an angle, a position; None: another plant."""
+def setting_of(scenario: Scenario, moves: bool | None = None) -> dict[str, Any]:
+    """What ``scene.js`` draws: a car with its sizes, an angle, a position, or the loop as blocks.
+
+    Args:
+        scenario: the run.
+        moves: whether the plant reports the motion of a car; None: as its settings suggest.
+    """
     plant, names = scenario.plant, names_of(scenario.plant)
-    limits = scenario.limits.torque_nm, scenario.limits.force_difference_n
-    common = {
+    kind = {"rad": "angle", "m": "position"}.get(names.output.unit)
+    if moves if moves is not None else kind is None and (plant.is_car or plant.is_own):
+        kind = "car"
+    return {
+        "kind": kind or "blocks",
         "names": [each.name for each in names],
         "units": [each.unit for each in names],
-        "limits": limits,
+        "limits": (scenario.limits.torque_nm, scenario.limits.force_difference_n),
+        "feedback": scenario.design.feedback,
+        "sizes": (plant.front_axle_distance_m, plant.rear_axle_distance_m, plant.rear_track_m),
+        "speed": plant.speed_mps,
     }
-    if plant.is_car or plant.is_own:
-        sizes = plant.front_axle_distance_m, plant.rear_axle_distance_m, plant.rear_track_m
-        return {"kind": "car", "sizes": sizes, "speed": plant.speed_mps, **common}
-    kind = {"rad": "angle", "m": "position"}.get(names.output.unit)
-    return None if kind is None else {"kind": kind, **common}
 
 
 def dead_of(scenario: Scenario) -> list[dict[str, Any]]:

@@ -478,6 +478,24 @@ class PlantSettings(VehicleParameters):
         return self.linear is BUILT_IN[CAR]
 
     @property
+    def second_mass(self) -> int | None:
+        """The state that is the position of a second mass; None: no such state is known.
+
+        Of ``state-space`` with a position in m as its output: another state whose rate is a state.
+        """
+        if self.kind != STATE_SPACE or self.output.unit != "m":
+            return None
+        of_output = [at for at, share in enumerate(self.c or ()) if share]
+        rates = zip(self.a or (), self.b or (), strict=True)
+        places = [
+            at
+            for at, (row, driven) in enumerate(rates)
+            if not any(driven) and sorted(filter(None, row)) == [1.0]
+        ]
+        others = [at for at in places if [at] != of_output]
+        return others[0] if len(of_output) == 1 and len(others) == len(places) - 1 == 1 else None
+
+    @property
     def noun(self) -> str:
         """The plant's name in sentences."""
         return "car" if self.is_car else "plant"

@@ -169,13 +169,18 @@ def _field(struct: type[Struct], name: str, hint: Any) -> Field:
             return Field(name, unit, meaning, kind)
         case kind, (str(unit), str(meaning)) if kind in (float, int):
             return Field(name, unit, meaning, kinds[kind])
-        case kind, (str(unit), str(meaning), (int(least), int(largest))) if kind is int:
+        case kind, (str(unit), str(meaning), (int(least), int(largest))) if (
+            kind is int and least <= largest
+        ):
             return Field(name, unit, meaning, "int32", range=(least, largest))
-        case kind, (str(unit), str(meaning), tuple(shape)) if kind == FloatArray:
+        case kind, (str(unit), str(meaning), tuple(shape)) if kind == FloatArray and all(
+            isinstance(each, int) and each > 0 for each in shape
+        ):
             return Field(name, unit, meaning, kinds[kind], shape)
     raise TypeError(
         f"{struct.__module__}.{struct.__qualname__}.{name}: must be Annotated[float, unit, "
-        "meaning], of an int or a Struct likewise, or Annotated[FloatArray, unit, meaning, shape]"
+        "meaning], of an int or a Struct likewise, Annotated[int, unit, meaning, "
+        "(least, largest)], or Annotated[FloatArray, unit, meaning, shape]"
     )
 
 

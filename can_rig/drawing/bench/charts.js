@@ -1,7 +1,7 @@
 // Charts of signals over time, of a live run or a recorded run: one zoom, one cursor, one time axis.
 "use strict";
 
-const LEAST_HEIGHT = 70, TIME_AXIS = 30, PARTS = 6, STORED = "can-rig layouts";
+const LEAST_HEIGHT = 60, TIME_AXIS = 30, PARTS = 6, STORED = "can-rig layouts";
 const element = (name, more, ...children) => {
   const made = Object.assign(document.createElement(name), more);
   made.append(...children);
@@ -27,7 +27,8 @@ class Charts {
     const whole = element("button", { textContent: "Whole time", title: "show the whole time (double click, or key 0)" });
     whole.onclick = () => this.zoom(null);
     bar.append(this.add, whole, this.layouts(), this.time);
-    new ResizeObserver(() => this.resize()).observe(place);
+    this.sizes = new ResizeObserver(() => this.resize()); // of the place, and of captions whose values need another line
+    this.sizes.observe(place);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.remake());
   }
 
@@ -157,7 +158,7 @@ class Charts {
   index(time_s) { const time = this.data.time || []; return rowAt(time.length, (i) => time[i], time_s); }
 
   remake() {
-    for (const { plot, figure } of this.plots) { plot.destroy(); figure.remove(); }
+    for (const { plot, figure } of this.plots) { plot.destroy(); figure.remove(); this.sizes.unobserve(figure.querySelector("figcaption")); }
     if (!this.charts) return;
     const last = this.rows().at(-1) || [];
     this.plots = this.charts.map((chart) => this.make(chart, last.includes(chart)));
@@ -291,17 +292,18 @@ class Charts {
     figure.style.width = `${100 * (chart.width || 1)}%`;
     const corner = element("span", { className: "corner", title: "drag to resize" });
     figure.append(corner);
+    this.sizes.observe(caption);
     this.place.append(figure);
     this.arrange(figure, chart, title, corner);
     const grid = { stroke: rule, width: 1 }, font = "12px system-ui, sans-serif";
     const words = this.curves[chart.keys[0]].words;
     const splits = words ? wordAxis(words) : { linear: {}, log: DECADES, asinh: ASINH }[chart.scale];
     const plot = new uPlot({
-      width: Math.max(figure.clientWidth, 50), height: LEAST_HEIGHT, padding: [6, 12, isLast ? 0 : 6, 0],
+      width: Math.max(figure.clientWidth, 50), height: LEAST_HEIGHT, padding: [6, 24, isLast ? 0 : 6, 0],
       cursor: { sync: { key: "bench" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { this.zoom(null); return null; } } },
-      scales: { x: { time: false }, y: words ? { range: wordRange(words) } : { linear: { range: wideEnough }, log: { distr: 3 }, asinh: { distr: 4, asinh: 10 } }[chart.scale] },
+      scales: { x: { time: false }, y: words ? { range: wordRange(words) } : { linear: { range: wideEnough }, log: { distr: 3, range: or([0.01, 1], uPlot.rangeLog) }, asinh: { distr: 4, asinh: 10, range: or([0, 100], uPlot.rangeAsinh) } }[chart.scale] },
       axes: [
-        { stroke: ink, grid, font, size: isLast ? TIME_AXIS : 0, values: isLast ? (u, ticks) => ticks.map((v) => `${Number(v.toPrecision(7))} s`) : () => [], ticks: { show: isLast, stroke: rule } },
+        { stroke: ink, grid, font, size: isLast ? TIME_AXIS : 0, space: room, values: isLast ? (u, ticks) => ticks.map((v) => `${Number(v.toPrecision(10))} s`) : () => [], ticks: { show: isLast, stroke: rule } },
         { stroke: ink, grid, font, size: 78, space: 14, ticks: { stroke: rule }, ...splits },
       ],
       series: [{}, ...chart.keys.map((key) => {
@@ -316,10 +318,10 @@ class Charts {
           if (this.onCursor) this.onCursor(this.at);
           this.showValues();
         }],
-        setSelect: [(u) => {
-          if (u.select.width < 4) return;
+        setSelect: [(u) => { // every chart shows the selection; the chart under the hand zooms all
+          if (u !== this.dragged || u.select.width < 4) return;
           this.zoom({ min: u.posToVal(u.select.left, "x"), max: u.posToVal(u.select.left + u.select.width, "x") });
-          u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+          for (const { plot } of this.plots) plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
         }],
       },
     }, [[], ...chart.keys.map(() => [])], figure);
@@ -343,6 +345,7 @@ class Charts {
     let from = null;
     over.addEventListener("mousedown", (event) => {
       from = { x: event.clientX, range: { ...plot.scales.x } };
+      this.dragged = plot;
       if (event.shiftKey) event.stopImmediatePropagation();
     }, true);
     over.addEventListener("mousemove", (event) => {
@@ -375,6 +378,15 @@ class Charts {
 
   mark(time_s) { this.pin = time_s === null || (this.pin !== null && Math.abs(time_s - this.pin) < 1e-9) ? null : time_s; this.draw(); }
 }
+
+// Pixels from tick to tick of the time, for all digits of its numbers.
+function room(u, axis, least, most, pixels) {
+  const digits = Math.max(0, Math.ceil(-Math.log10((50 * (most - least)) / pixels)));
+  return Math.max(50, 8 * (most.toFixed(0).length + digits + 3));
+}
+
+// The range of values on a scale of powers of ten; `otherwise` without values.
+const or = (otherwise, range) => (u, least, most) => (least === null ? otherwise : range(least, most, 10, false));
 
 // A range with room that numbers can label; uPlot's own is empty for values that hardly differ.
 function wideEnough(u, least, most) {

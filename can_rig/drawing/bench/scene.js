@@ -1,7 +1,9 @@
 // The plant in motion: a car on its road from above, an angle, a position. Data as `results.motion`.
 "use strict";
 
-const LANE_M = 3.5, BEHIND_M = 14, AHEAD_M = 36, STEERING_SHOWN = 5, TEXT_WIDTH = 320;
+const LANE_M = 3.5, BEHIND_M = 14, AHEAD_M = 36, STEERING_SHOWN = 5, TEXT_WIDTH = 335;
+
+const degrees = (angle) => (Math.round((18000 / Math.PI) * angle) / 100 + 0).toFixed(2);
 
 class Scene {
   constructor(canvas) {
@@ -31,10 +33,11 @@ class Scene {
     ctx.clearRect(0, 0, width, height);
     ctx.font = "12px system-ui, sans-serif"; ctx.lineJoin = ctx.lineCap = "round";
     ctx.save(); ctx.beginPath(); ctx.rect(margin, 0, width - margin, height); ctx.clip(); ctx.translate(margin, 0);
+    this.width = width - margin;
     this.middle = height * (margin ? 0.5 : 0.56); // of the lane; the words stand above or beside
     const i = this.row, now = data && data.time.length ? data.time[i] : null;
     this.broken = now === null ? [] : this.dead.filter((d) => d.begin <= now && (d.end === null || now < d.end));
-    const words = now === null ? ["no motion yet"] : { car: this.car, angle: this.angle, position: this.position }[setting.kind].call(this, width - margin, height, i);
+    const words = now === null ? ["no motion yet"] : this[setting.kind].call(this, this.width, height, i);
     ctx.restore();
     if (now !== null) words.unshift(`${now.toFixed(2)} s`);
     const lines = [...words, ...this.broken.map((d) => [`✗ ${d.words}`, "warn"])].map((each) => [each, "ink"].flat());
@@ -88,7 +91,7 @@ class Scene {
     this.line(way("", i + 1), "blue", 2.5);
     this.body(place(data.x[i], data.y[i]), data.heading[i] - turn, scale, i);
     if (lane) words.unshift([`car ${this.off(i, "").toFixed(2)} m off the lane's middle`, "blue"]);
-    words.push(`steering angle ${((180 / Math.PI) * data.steering[i]).toFixed(2)}° (drawn × ${STEERING_SHOWN})`, `rear wheels ${shown(Math.round(10 * data.applied_2[i]) / 10)} ${setting.units[2]}`);
+    words.push(`steering angle ${degrees(data.steering[i])}° (drawn × ${STEERING_SHOWN})`, `rear wheels ${shown(Math.round(10 * data.applied_2[i]) / 10)} ${setting.units[2]}`);
     return words;
   }
 
@@ -97,9 +100,11 @@ class Scene {
     return Math.abs((data[`${prefix}y`][i] - data.lane_y[i]) * Math.cos(turn) - (data[`${prefix}x`][i] - data.lane_x[i]) * Math.sin(turn));
   }
 
-  // The car at a place of the screen; without a row, an outline.
+  // The car at a place of the screen; without a row, an outline; beyond the screen, an arrow.
   body([x, y], turn, scale, i) {
-    const { ctx, data, setting } = this, [front, rear, track] = setting.sizes;
+    const { ctx, data, setting } = this, [front, rear, track] = setting.sizes, inside = (v, most) => Math.min(Math.max(v, 24), most - 24);
+    const edge = [inside(x, this.width), inside(y, this.canvas.clientHeight)], gone = [x - edge[0], y - edge[1]], far = Math.hypot(...gone);
+    if (far > 36) { this.arrow(...edge, (12 * gone[0]) / far, (12 * gone[1]) / far, i === null ? "orange" : "blue"); return; }
     ctx.save(); ctx.translate(x, y); ctx.rotate(-turn);
     const length = scale * (front + rear + 1.6), broad = scale * (track + 0.25), left = -scale * (rear + 0.8);
     ctx.beginPath(); ctx.roundRect(left, -broad / 2, length, broad, broad / 4);
@@ -135,12 +140,42 @@ class Scene {
   }
 
   position(width, height, i) {
-    const { data, ctx } = this, most = 1.5 * Math.max(1e-9, ...data.reference.map(Math.abs)), forces = this.shares(i);
-    const x = (v) => width / 2 + (0.35 * width * v) / most, y = height * 0.62, [side, high] = [60, 40];
+    const { data, ctx } = this, most = 1.5 * [...data.reference, ...(data.x || [])].reduce((so, v) => Math.max(so, Math.abs(v || 0)), 1e-9), forces = this.shares(i);
+    const two = data.x && data.x[i] !== null, side = 60, high = 40, y = height * 0.62, from = (two ? 0.35 : 0.5) * width;
+    const x = (v) => from + ((two ? 0.15 : 0.35) * width * v) / most, at = [x(data.output[i]), ...(two ? [0.3 * width + x(data.x[i])] : [])];
     this.line([[width * 0.1, y + high / 2 + 3], [width * 0.9, y + high / 2 + 3]], "rule", 3);
+    if (two) {
+      const ends = [0.1 * width, ...at, 0.9 * width];
+      for (const wall of [ends[0], ends[3]]) this.line([[wall, y - high / 2], [wall, y + high / 2]], "soft", 3);
+      ends.slice(1).forEach((end, n) => this.spring(ends[n] + (n && side / 2), end - (n < 2 && side / 2), y));
+    }
     this.line([[x(data.reference[i]), y - high], [x(data.reference[i]), y + high / 2]], "soft", 2, [6, 5]);
-    ctx.fillStyle = colour("blue"); ctx.fillRect(x(data.output[i]) - side / 2, y - high / 2, side, high);
-    ["torque", "force-difference"].forEach((name, n) => this.arrow(x(data.output[i]), y - high / 4 + (n * high) / 2, 120 * forces[n], 0, this.fails(name) ? "warn" : "green"));
+    ctx.fillStyle = colour("blue");
+    for (const middle of at) ctx.fillRect(middle - side / 2, y - high / 2, side, high);
+    ["torque", "force-difference"].forEach((name, n) => this.arrow(at[two ? n : 0], y - high / 2 - (two ? 8 : 20 - 12 * n), 120 * forces[n], 0, this.fails(name) ? "warn" : "green"));
+    return this.inputs(i);
+  }
+
+  spring(from, to, y) { this.line(Array.from({ length: 14 }, (_, n) => [from + ((to - from) * n) / 13, n % 13 ? y + (n % 2 ? 7 : -7) : y]), "soft", 1.5); }
+
+  // Any other plant: the loop as blocks, with the values on the lines between the blocks.
+  blocks(width, height, i) {
+    const { data, setting, ctx } = this, { units } = setting, y = this.middle, at = (share) => share * width, low = y + 52;
+    const value = (share, above, v, n) => ctx.fillText(`${shown(v)} ${units[n]}`, at(share) + 6, above);
+    const block = (from, to, name) => {
+      ctx.beginPath(); ctx.rect(at(from), y - 34, at(to) - at(from), 68);
+      ctx.fillStyle = colour("card"); ctx.fill(); ctx.strokeStyle = colour("ink"); ctx.lineWidth = 1.5; ctx.stroke();
+      ctx.fillStyle = colour("ink"); ctx.fillText(name, at(from) + 8, y + 4);
+    };
+    if (setting.feedback) { this.line([[at(0.9), y], [at(0.9), low], [at(0.3), low], [at(0.3), y + 44]], "blue", 2); this.arrow(at(0.3), y + 44, 0, -3, "blue"); }
+    this.arrow(at(0.02), y, at(0.19) - 7, 0, "soft"); this.arrow(at(0.8), y, at(0.19) - 7, 0, "blue");
+    block(0.21, 0.39, "controller"); block(0.62, 0.8, "plant");
+    ctx.fillStyle = colour("ink"); value(0.01, y - 8, data.reference[i], 0); value(0.8, y - 8, data.output[i], 0);
+    ["torque", "force-difference"].forEach((name, n) => {
+      const dead = this.fails(name), high = y - 16 + 32 * n;
+      this.arrow(at(0.39), high, at(0.23) - 7, 0, dead ? "warn" : "green"); value(0.39, high - 6, data[`applied_${n + 1}`][i], n + 1);
+      if (dead) for (const s of [-6, 6]) this.line([[at(0.5) - 6, high - s], [at(0.5) + 6, high + s]], "warn", 2);
+    });
     return this.inputs(i);
   }
 
@@ -154,6 +189,6 @@ class Scene {
 
   inputs(i) {
     const { data, setting } = this, { names, units } = setting;
-    return [`${names[0]} ${shown(data.output[i])} ${units[0]}`, ...[1, 2].map((n) => `${names[n]} ${shown(data[`applied_${n}`][i])} ${units[n]}`)];
+    return [`${names[0]} ${shown(data.output[i])} ${units[0]}`, ...[1, 2].map((n) => `${names[n]} ${shown(this.shares(i)[n - 1] ** 2 < 1e-12 ? 0 : data[`applied_${n}`][i])} ${units[n]}`)];
   }
 }

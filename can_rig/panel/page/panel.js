@@ -112,7 +112,7 @@ function showLamps() {
 
 function addEvent(event) {
   const of = hello.places.find((each) => each.place === event.place), kind = of && of.kinds.find((each) => each.kind === event.kind);
-  const parts = [of && of.words, kind ? kind.words : event.kind, event.value, event.duration_s && `for ${event.duration_s} s`];
+  const parts = [of && of.words, kind ? kind.words : event.kind, event.value !== null && kind && kind.value ? `${kind.value.split(/[ ,]/)[0]} ${event.value}` : event.value, event.duration_s && `for ${event.duration_s} s`];
   const words = parts.filter((p) => p !== null && p !== undefined && p !== "").join(" ");
   const item = element("li", { textContent: `${event.time_s.toFixed(2)} s  ${event.action.toLowerCase().replace("_", " ")} ${words}` });
   $("events").append(item); $("events").scrollTop = 1e6;

@@ -14,10 +14,10 @@ from can_rig.cli.main import main
 from tests.rig.export.shared import STRICT, run
 
 EXPORTS = {
-    "front": ["default", "--precision", "float32"],
+    "front": ["cluster", "--precision", "float32"],
     "rear_2": ["drive-cycle", "--set", "design.speeds_mps=[8.0, 8.9, 10.0]"],
 }
-"""Of different precision, structs of different content, one with changes of the speed."""
+"""Of different precision and structs, one with further sensors, one with changes of the speed."""
 
 BOTH = """\
 #include <stdio.h>
@@ -157,9 +157,8 @@ def test_cmake_takes_both_into_one_project(place: Path, tmp_path: Path) -> None:
     )
     run("cmake", "-S", tmp_path, "-B", tmp_path / "build")
     run("cmake", "--build", tmp_path / "build", "-j2")
-    assert "100% tests passed, 0 tests failed out of 3" in run(
-        "ctest", "--test-dir", tmp_path / "build"
-    )
+    said = run("ctest", "--test-dir", tmp_path / "build")
+    assert re.search(r"100% tests passed.* out of 3", said)  # CMake 4 has other words between
 
 
 @pytest.mark.parametrize("prefix", ["", "2nd", "Front", "a-b", "a b"])

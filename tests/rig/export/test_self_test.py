@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -161,6 +162,19 @@ def test_a_flipped_bit_of_any_constant_is_noticed(kind: str, built: Built) -> No
     assert code.self_test(memory)
 
 
+@pytest.mark.parametrize("field", ["crc_of_constants", "fingerprint", "crc_of_answers"])
+def test_a_flipped_bit_of_what_the_test_compares_with_is_noticed(field: str, built: Built) -> None:
+    node = {path.name: path.read_text(encoding="utf-8") for path in built("float32").glob("*.[ch]")}
+    for name in ("main.c", "bench_main.c", "bench.c", "harness.c", "ecu.c", "network.c"):
+        del node[name]
+    right = re.search(rf"\.{field} = (0x\w+)u,", node["self_test_data.c"])
+    assert right is not None
+    wrong = right[0].replace(right[1], f"0x{int(right[1], 16) ^ 1 << 9:08X}")
+    files = node | {"self_test_data.c": node["self_test_data.c"].replace(right[0], wrong)}
+    program = compiled(["cc"], ["-std=c99"], files, ".out")
+    assert subprocess.run([program], check=False, capture_output=True).returncode == 1
+
+
 def scenario_of(kind: str) -> Scenario:
     """The scenario of a key of ``SCENARIOS``."""
     name, *options = SCENARIOS[kind]
@@ -190,6 +204,20 @@ def test_a_node_that_fails_stays_silent() -> None:
         assert said[:8] == (identity(node) if is_fit else bytes(8))
         counts = 2 * 10 * 4
         assert any(said[8:-counts]) is is_fit
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_a_processor_without_subnormal_numbers_is_refused(
+    precision: str, built: Built, tmp_path: Path
+) -> None:
+    """gcc's start-up code says so where only the linker gets ``-ffast-math``."""
+    folder = built(precision)
+    run("make", "-s", "-C", folder, "CC=gcc", "check")
+    for option, status in (("-O1", 0), ("-ffast-math", 1)):
+        run("gcc", option, folder / "check.o", folder / "libfirmware.a", "-lm", "-o", "checked",
+            cwd=tmp_path)  # fmt: skip
+        done = subprocess.run([tmp_path / "checked"], check=False, capture_output=True)
+        assert done.returncode == status
 
 
 def test_a_library_that_fails_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

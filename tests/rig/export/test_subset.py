@@ -121,7 +121,8 @@ def translated(text: str, folder: Path) -> Path:
 
 def compile_in(folder: Path) -> None:
     """Let the C compiler look at what ``translated`` wrote."""
-    run(["cc", "-std=c99", "-pedantic-errors", "-fsyntax-only", "lines.c"], folder)
+    for standard in ("c99", "gnu17"):
+        run(["cc", f"-std={standard}", "-pedantic-errors", "-fsyntax-only", "lines.c"], folder)
 
 
 REFUSED = {
@@ -263,6 +264,28 @@ def test_what_is_outside_is_refused(translate: Translate, line: str) -> None:
     elsewhere = "annotation" in str(refused.value) or "calls itself" in str(refused.value)
     assert int(where[1]) in inside or elsewhere
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "declaration",
+    ["float", 'Annotated[complex, "1", "a"]', 'Annotated[float, "1", "a", (0, 4)]',
+     'Annotated[int, "1", "a", (4, 0)]', 'Annotated[FloatArray, "1", "a", (0,)]'],
+)  # fmt: skip
+def test_a_field_that_is_declared_wrongly_is_refused(
+    translate: Translate, declaration: str
+) -> None:
+    text = f"""
+        class Other(Struct):
+            right: Annotated[float, "1", "a number"]
+            wrong: {declaration}
+
+        @firmware
+        def f(state: State, x: float) -> None:
+            pass
+        """
+    where = rf"lines\.py:{HEADER.count(chr(10)) + 4}: lines\.Other\.wrong: must be Annotated\["
+    with pytest.raises(ExportError, match=where):
+        translate(text)
 
 
 @pytest.mark.parametrize(
@@ -423,7 +446,7 @@ def test_no_docstring_is_no_comment(translate: Translate) -> None:
 @pytest.mark.parametrize(
     "name",
     ["sqrt", "fabs", "rint", "real", "real_min", "int_max", "float_", "NAN", "INFINITY", "memset",
-     "int32_t", "bool", "DBL_MAX", "INT32_MAX", "_Bool", "asm", "i", "pair_2"],
+     "int32_t", "bool", "DBL_MAX", "INT32_MAX", "_Bool", "asm", "i", "pair_2", "linux"],
 )  # fmt: skip
 def test_names_that_c_has_are_others_there(translate: Translate, name: str) -> None:
     text = f"""

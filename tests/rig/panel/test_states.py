@@ -4,6 +4,7 @@ import asyncio
 import json
 import re
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import can
@@ -134,6 +135,21 @@ def test_a_bus_that_fails_is_down_until_the_next_frame(bus):
     assert "Network is down" in rig.state("bus-down").says
     rig.send(*rig.frames)
     rig.state("running")
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "stopped", "state"),
+    [(20.0, False, "silent"), (20.0, True, "finishing"), (0.05, False, "finishing")],
+)
+def test_a_run_of_the_panel_that_falls_silent_early_was_not_ended_as_planned(
+    bus, duration_s, stopped, state
+):
+    rig = bus()
+    rig.session.scenario = replace(rig.session.scenario, duration_s=duration_s)
+    rig.session._process, rig.session._stopped = SimpleNamespace(returncode=None), stopped
+    rig.send(*rig.frames)
+    assert ("killed" in rig.state(state).says) == (state == "silent")
+    rig.session._process = None
 
 
 @pytest.mark.parametrize(

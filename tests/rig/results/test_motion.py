@@ -1,15 +1,20 @@
 """The path of a car, against circles and the deviation of a lost motor."""
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from can_rig.assessment.resolve import load
+from can_rig.logs.columns import APPLIED, SECOND_MASS
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.without_bus import run_without_bus
+from can_rig.panel.live import SecondMass
 from can_rig.results.motion import scene, track_of, tracks
 from can_rig.results.signals import Signals, signals_of_columns
+from can_rig.scenario.plant_settings import SignalSettings
 from can_rig.scenario.settings import Scenario
 
 SPEED_MPS = 10.0
@@ -98,5 +103,39 @@ def test_another_plant_is_drawn_by_its_output(tmp_path, name, kind):
     assert [each["begin"] for each in drawn["dead"]] == [0.5]
 
 
-def test_a_plant_without_a_picture_has_no_scene(tmp_path):
-    assert scene(*recorded(tmp_path, "nonminimum-phase", "duration_s=0.2")) is None
+@pytest.mark.parametrize(("name", "feedback"), [("nonminimum-phase", True), ("chapter-2", False)])
+def test_any_other_plant_is_drawn_as_blocks(tmp_path, name, feedback):
+    drawn = scene(*recorded(tmp_path, name, "duration_s=0.2"))
+    assert (drawn["kind"], drawn["feedback"]) == ("blocks", feedback)
+
+
+def test_a_second_mass_is_where_the_applied_forces_push_it(tmp_path):
+    scenario, signals = recorded(tmp_path, "two-masses", "duration_s=4", "fault.at_s=2")
+    plant, forces = scenario.plant, np.stack([signals.plant[name] for name in APPLIED], axis=1)
+    state, positions = np.zeros(4), []
+    for pushed in forces:
+        positions.append(state[1])
+        rates = lambda _t, x, pushed=pushed: np.array(plant.a) @ x + np.array(plant.b) @ pushed  # noqa: E731
+        state = solve_ivp(rates, (0.0, scenario.tick_s), state, rtol=1e-9, atol=1e-12).y[:, -1]
+    assert positions[-1] > 1.0  # force 2 alone holds the first mass
+    np.testing.assert_allclose(signals.plant[SECOND_MASS], positions, atol=1e-8)
+    np.testing.assert_array_equal(
+        scene(scenario, signals)["columns"]["x"], signals.plant[SECOND_MASS][::2]
+    )
+    live = SecondMass(scenario)
+    np.testing.assert_allclose([live.next(each) for each in forces], positions, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"c": (0.0, 1.0, 0.0, 0.0)},  # the first mass is then the second
+        {"c": (1.0, 1.0, 0.0, 0.0)},
+        {"b": ((0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (0.0, 0.5))},
+        {"output": SignalSettings("position", "mm")},
+    ],
+)
+def test_without_two_states_that_are_positions_no_second_mass_is_drawn(other):
+    plant = load("two-masses").plant
+    assert plant.second_mass == 1
+    assert replace(plant, **other).second_mass == (0 if other.get("c", (1,))[0] == 0.0 else None)

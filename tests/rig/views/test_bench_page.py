@@ -112,3 +112,23 @@ def test_in_a_browser_charts_are_added_and_zoom_together_and_an_event_is_found(p
     page.goto((folder / "run" / "report.html").as_uri())
     page.wait_for_selector("body[data-drawn]")
     assert barriers(page) == []
+
+
+def test_a_drag_over_a_chart_shows_the_time_under_the_drag_in_every_chart(page, folder):
+    asked("view", folder / "run", "--out", folder / "page.html", "--force")
+    page.goto((folder / "page.html").as_uri())
+    page.wait_for_selector("body[data-drawn]")
+
+    def time_s(chart: int, share: float) -> float:
+        box = page.locator(".u-over").nth(chart).bounding_box()
+        page.mouse.move(box["x"] + share * (box["width"] - 1), box["y"] + 9)
+        (found,) = re.findall(r"values at (\S+) s", page.inner_text("#bar output"))
+        return float(found)
+
+    begin_s, end_s = time_s(1, 0.2), time_s(1, 0.4)
+    page.mouse.down()
+    time_s(1, 0.2)
+    page.mouse.up()
+    for chart in (0, 1, 4):
+        assert abs(time_s(chart, 0.0) - begin_s) < 0.004
+        assert abs(time_s(chart, 1.0) - end_s) < 0.004

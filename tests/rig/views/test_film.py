@@ -49,6 +49,25 @@ def test_only_the_car_without_compensation_leaves_the_lane(drawn):
         assert ink(picture, "blue") == 0
 
 
+def test_a_car_beyond_the_picture_is_an_arrow_at_the_edge(tmp_path):
+    settings = ["fault.at_s=1", "duration_s=6"]
+    drawing = Drawing(scene(*recorded(tmp_path, "no-compensation", *settings)))
+    assert ink(drawing.at(0.9), "pale-blue") > 50  # the windscreen of a car in sight
+    gone = drawing.at(5.9).crop((0, 120, WIDTH, HEIGHT))
+    assert ink(gone, "pale-blue") == 0
+    assert 20 < ink(gone, "blue") < 200
+
+
+def test_blocks_show_the_lost_input(tmp_path):
+    settings = ["fault.at_s=1", "duration_s=2"]
+    drawing = Drawing(scene(*recorded(tmp_path, "nonminimum-phase", *settings)))
+    right = (200, 0, WIDTH, HEIGHT)
+    before, after = (drawing.at(time_s).crop(right) for time_s in (0.9, 1.1))
+    assert ink(before, "warn") == 0
+    assert ink(after, "warn") > 100
+    assert ink(after, "green") < 0.7 * ink(before, "green")
+
+
 def test_the_rear_wheels_push_apart_after_the_fault(drawn):
     drawing = Drawing(drawn)
     assert ink(drawing.at(2.0), "green") > ink(drawing.at(0.9), "green") + 40
