@@ -415,6 +415,9 @@ class Scenario:
         for key in SIGNALS:
             if getattr(self.model, key) != SignalSettings():
                 raise ValueError(f"model.{key}: must be plant.{key}; a signal has one name")
+        for key in PUSHED_BY.values():
+            if getattr(self.model, key):
+                raise ValueError(f"model.{key}: must be plant.{key}; the controller knows no push")
         _refuse_speeds(self)
         self.controller.refuse_other_tick(self.tick_s)
         _refuse_disturbances(self)

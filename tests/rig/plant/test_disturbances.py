@@ -343,6 +343,8 @@ def test_a_plant_that_nothing_can_push_is_refused() -> None:
         load("default", push)
     with pytest.raises(ScenarioError, match=r"plant.gw: must be set for a disturbance of plant.ki"):
         load("chapter-2", push)
+    with pytest.raises(ScenarioError, match=r"model.e: must be plant.e; the controller knows no "):
+        load("two-masses", ["model.e=[1, 0, 0, 0]"])
     with pytest.raises(ScenarioError, match=r"plant.e: must not be set for kind = 'transfer-funct"):
         load("chapter-2", ["plant.e=[1]"])
     with pytest.raises(ScenarioError, match=r"plant.e: has length 1: must have 4, as many as a ha"):

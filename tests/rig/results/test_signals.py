@@ -238,6 +238,9 @@ SAID = {
     "evidence_sensor_drifting": "evidence_sensor_drifting",
     "evidence_sensor_frozen": "evidence_sensor_frozen",
     "evidence_another_car": "evidence_another_car",
+    "measured_yaw_rate_rad_per_s": "measured_output_2",
+    "measured_lateral_acceleration_mps2": "measured_output_3",
+    "measured_steering_angle_rad": "measured_output_4",
 }
 
 
