@@ -229,12 +229,12 @@ def column_names(plant: PlantSettings, further: Container[str] = ()) -> dict[str
     signals = names_of(plant)
     endings = [OF_CAR[each][1] if each in OF_CAR else _ending(each.unit) for each in signals]
     stems = [OF_CAR[each][0] if each in OF_CAR else _word(each.name) for each in signals]
-    outputs = {} if plant.is_car else OUTPUTS
-    names = _columns(stems, endings)
+    said = {} if plant.is_car else OUTPUTS
+    outputs = {USUAL[each].column: f"measured_{_word(said[each])}" for each in said}
+    names = _columns(stems, endings) | outputs
     others = set(TAKEN) - set(names)
     if not all(stems) or len({*names.values()} - others) < len(names):
-        names = _columns(ROLES, endings)
-    names |= {USUAL[each].column: f"measured_{_word(said)}" for each, said in outputs.items()}
+        names = _columns(ROLES, endings) | outputs
     return {column: column if name in further else name for column, name in names.items()}
 
 
