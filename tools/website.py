@@ -104,7 +104,7 @@ def with_mathml(text: str) -> str:
         if inline:
             return f"<span>{drawn}</span>"
         number = f'<div style="text-align: right; margin-top: -2em">({tag[1]})</div>' if tag else ""
-        return f'<div style="margin: 1em 0">{drawn}{number}</div>\n'
+        return f'<div style="margin: 1em 0; overflow-x: auto">{drawn}{number}</div>\n'
 
     return CODE_OR_MATHS.sub(formula, text)
 

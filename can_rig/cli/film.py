@@ -62,8 +62,10 @@ def command(
         raise LogError(f"{run}: nothing to draw; the run has no tick")
     begin_s, end_s = span_of(drawn)
     begin_s, end_s = (begin_s if from_s is None else from_s), (end_s if to_s is None else to_s)
-    if not begin_s < end_s:
-        raise LogError(f"--from {begin_s:g}: must be below --to {end_s:g}")
+    last_s = float(drawn["columns"]["time"][-1])
+    if not begin_s < min(end_s, last_s):
+        said = f"--to {end_s:g}" if end_s < last_s else f"{last_s:g} s, the end of the run"
+        raise LogError(f"--from {begin_s:g}: must be below {said}")
     with atomic(out, force=force) as part:
         write_film(part, out.suffix.lower(), pictures(drawn, begin_s, end_s, rate, speed), rate)
     say(f"film in {out}")

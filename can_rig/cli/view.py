@@ -81,6 +81,6 @@ def _of_log(asked: Asked) -> tuple[str, Recording]:
     found = decoder.whole(collected.passing(asked.frames(source, "reading")))
     if not found:
         nothing = decoder.nothing_on_channel or "no frame of the database's messages"
-        raise LogError(f"{source.path}: {nothing}; name the database with --dbc")
+        raise LogError(f"{source.path}: {nothing}; --dbc names another database")
     note(source.notice)
     return asked.path.name, recording_of_log(found, source.start_ns, collected)

@@ -178,9 +178,9 @@ def clip_spikes(axis: Axes, time_s: FloatArray, values: FloatArray, unit: str) -
         return
     axis.set_ylim(low - 0.25 * span, high + 0.25 * span)
     at = int(np.nanargmax(np.abs(values)))
-    spike = f"{values[at]:.3g} {printed(unit)}".rstrip()
+    spike = f"{float(f'{values[at]:.3g}'):g} {printed(unit)}".rstrip()
     axis.text(
-        0.0, 1.03, f"off the scale: {spike} at {time_s[at]:g} s",
+        0.0, 1.03, f"peak {spike} at {time_s[at]:g} s",  # beside a legend
         transform=axis.transAxes, fontsize=9,
     )  # fmt: skip
 

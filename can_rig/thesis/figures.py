@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from can_rig import files
 from can_rig.drawing import style
-from can_rig.drawing.names import ticks_text
+from can_rig.drawing.names import ticks_text, with_unit
 from can_rig.thesis.comparisons import MAKERS, START_S, Comparison, Curve
 
 LOOKS: tuple[dict[str, Any], ...] = (
@@ -148,7 +148,7 @@ def _apart(comparison: Comparison) -> str:
     first, second = comparison.curves
     most = float(np.nanmax(np.abs(first.sampled - second.sampled)))
     names = f"{_math(first.name)} and {_math(second.name)}"
-    return f"\n{names} differ by {most:.1e} {comparison.unit} at most".rstrip()
+    return f"\n{names} differ by {with_unit(f'{most:.1e}', comparison.unit)} at most"
 
 
 def _whose(comparison: Comparison) -> str:

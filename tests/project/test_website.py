@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
@@ -58,6 +59,11 @@ def test_every_page_command_and_name_of_python_is_in_the_site(site: Path) -> Non
     for name in can_rig.__all__:
         of = getattr(can_rig, name)
         assert f"{of.__module__}.{of.__qualname__}" in python
+
+
+def test_a_name_with_an_asterisk_begins_no_emphasis(site: Path) -> None:
+    for page in [site / "index.html", *(site / "docs").glob("*.html")]:
+        assert not re.search(r"\w<em>", page.read_text("utf-8")), page
 
 
 def test_formulas_are_drawn_without_a_script(site: Path) -> None:

@@ -297,7 +297,7 @@ class Charts {
     this.arrange(figure, chart, title, corner);
     const grid = { stroke: rule, width: 1 }, font = "12px system-ui, sans-serif";
     const words = this.curves[chart.keys[0]].words;
-    const splits = words ? wordAxis(words) : { linear: {}, log: DECADES, asinh: ASINH }[chart.scale];
+    const splits = words ? wordAxis(words) : { linear: { values: numbers }, log: DECADES, asinh: ASINH }[chart.scale];
     const plot = new uPlot({
       width: Math.max(figure.clientWidth, 50), height: LEAST_HEIGHT, padding: [6, 24, isLast ? 0 : 6, 0],
       cursor: { sync: { key: "bench" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { this.zoom(null); return null; } } },
@@ -391,8 +391,14 @@ const or = (otherwise, range) => (u, least, most) => (least === null ? otherwise
 // A range with room that numbers can label; uPlot's own is empty for values that hardly differ.
 function wideEnough(u, least, most) {
   if (least === null || (least === 0 && most === 0)) return [-1, 1];
-  const half = 0.55 * Math.max(most - least, 1e-5 * Math.max(Math.abs(least), Math.abs(most)), 1e-9), middle = (least + most) / 2;
+  const half = 0.55 * Math.max(most === least ? 0.2 * Math.abs(most) : most - least, 1e-5 * Math.max(Math.abs(least), Math.abs(most)), 1e-9), middle = (least + most) / 2;
   return [middle - half, middle + half];
+}
+
+// Numbers with all digits in which the ticks differ.
+function numbers(u, ticks, axis, space, step) {
+  const largest = Math.max(...ticks.map(Math.abs)), digits = new Intl.NumberFormat("en", { maximumFractionDigits: Math.min(Math.max(Math.ceil(1 - Math.log10(step) - 1e-9), 0), 12) });
+  return ticks.map((v) => (v !== 0 && (largest < 1e-3 || largest >= 1e7) ? Number(v.toPrecision(4)).toExponential() : digits.format(v)));
 }
 
 // Axes with a number for each decade, and for some values on both sides of zero.

@@ -143,6 +143,7 @@ def page(
             legend = axis.get_legend()
             for text in (*axis.texts, *([] if legend is None else [legend])):
                 text.remove()  # the panel at the left has the same
+        beside[4].ticklabel_format(axis="x", useOffset=False)
         beside[4].set_xlabel("around the fault, time in s")
     output, *commands = names
     for axis, name, unit in zip(
@@ -175,7 +176,7 @@ def _column(axes: list[Axes], scenario: Scenario, network: Network, signals: Sig
         style.ruled(axis)
     _time_axis(axes, scenario, signals)
     _output(axes[0], scenario, names, signals, (beside, label))
-    size = apart(beside, signals, scenario.tick_s)
+    size = apart(beside, signals, scenario)
     _distance(axes[1], signals.time_s, size, network.feedback.lsb)
     _commands(axes[2:4], scenario, network, signals)
     _estimate(axes[4], signals)
@@ -229,14 +230,21 @@ def compared_with(scenario: Scenario, signals: Signals) -> tuple[FloatArray, str
 RMS_S: Final = 0.05
 """Time over which the rms of a distance is taken: longer than noise, shorter than a reaction."""
 
+RMS_TICKS: Final = 10
+"""As many ticks at least; a sensor of few steps often says the reference itself."""
+
 
 AT_ONCE: Final = 4096
 """Ticks whose rms is computed at once."""
 
 
-def apart(beside: FloatArray, signals: Signals, tick_s: float) -> FloatArray:
-    """(ticks,), the rms of the distance over the last ``RMS_S``; nan without a known tick."""
-    ticks, found = max(1, round(RMS_S / tick_s)), paged.empty(len(signals))
+def apart(beside: FloatArray, signals: Signals, scenario: Scenario) -> FloatArray:
+    """(ticks,), the rms of the distance over the last ``RMS_S``; nan without a known tick.
+
+    At least a tenth of the sensor's step.
+    """
+    ticks, found = max(RMS_TICKS, round(RMS_S / scenario.tick_s)), paged.empty(len(signals))
+    least = 0.1 * scenario.plant.sensor.resolution_mps2
     for begin in range(0, len(signals), AT_ONCE):
         some = slice(max(begin - ticks, 0), min(begin + AT_ONCE, len(signals)))
         with np.errstate(over="ignore", invalid="ignore"):  # a loop that diverges
@@ -247,7 +255,7 @@ def apart(beside: FloatArray, signals: Signals, tick_s: float) -> FloatArray:
             count = np.cumsum(known)
             count[ticks:] -= count[:-ticks].copy()
             rms = np.sqrt(np.maximum(total, 0.0) / np.where(count, count, np.nan))
-        found[begin : some.stop] = rms[begin - some.start :]
+        found[begin : some.stop] = np.maximum(rms[begin - some.start :], least)
     return found
 
 

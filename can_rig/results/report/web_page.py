@@ -6,6 +6,7 @@ The page opens without network: uPlot, the numbers and the look are part of the 
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
@@ -28,7 +29,7 @@ from can_rig.results.motion import scene
 from can_rig.results.report.page import apart, compared_with, counterpart, page_title
 from can_rig.results.signals import Signals
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
-from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.fault_settings import CHANNELS, FaultSettings
 from can_rig.scenario.settings import Scenario, leaves
 from firmware_model.law.status import Verdict
 from firmware_model.law.structs import FloatArray
@@ -46,7 +47,7 @@ def panels(scenario: Scenario, network: Network, signals: Signals) -> list[Panel
     names, charts = names_of(scenario.plant), charts_of(names_of(scenario.plant), None)
     looks = {curve.key: curve for curve in curves_of(names, network, None)}
     beside, label, distance = compared_with(scenario, signals)
-    far = apart(beside, signals, scenario.tick_s)
+    far = apart(beside, signals, scenario)
     unit = names.output.unit
     drawn = {
         "output": [
@@ -227,9 +228,12 @@ def _in_units(
 ) -> Iterator[tuple[str, Any, str, Code]]:
     """Name, value, unit of the plant, and key of each metric."""
     own = {of_car.unit: signal.unit for of_car, signal in zip(CAR, names, strict=True)}
+    its = {"dstar": names[0].name, "torque": names[1].name, "force difference": names[2].name}
     for key, value in values:
         words, unit = parted(key)
+        words = re.sub("dstar|torque|force difference", lambda found: its[found[0]], words)
         shown = in_words(Verdict[value], names) if key == "verdict" else _words(value)
+        shown = names.at(value).name if key == "place" and value in CHANNELS else shown
         yield words, shown, own.get(unit, unit), Code(key)
 
 

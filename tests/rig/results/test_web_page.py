@@ -109,3 +109,14 @@ def test_a_run_without_a_tick_has_a_page() -> None:
     empty = Signals(*(np.empty(0) for _ in range(8)))
     page = web_page(scenario, network_of(scenario), empty, metrics(scenario, empty), [], scenario)
     assert "Metrics" in page
+
+
+def test_metrics_have_the_names_of_the_plant() -> None:
+    scenario = load("two-masses", ["duration_s=3", "fault.at_s=1.5"])
+    signals = signals_without_log(scenario)
+    values, faults = metrics(scenario, signals), fault_metrics(scenario, signals)
+    page = web_page(scenario, network_of(scenario), signals, values, faults, scenario)
+    said = re.findall(r"<tr><td[^>]*>([^<]*)</td>", page.partition("<summary>Scenario")[0])
+    assert {"force 1 peak", "force 2 settled"} <= set(said)
+    assert not [words for words in said if re.search("torque|difference|dstar", words)]
+    assert len(re.findall(r"<td>place</td><td[^>]*>force 1</td>", page)) == 2

@@ -129,6 +129,8 @@ def test_the_command_writes_a_film_of_a_run_folder(tmp_path):
     assert (done.returncode, done.stdout) == (0, "film in x.gif\n")
     with Image.open("x.gif") as film:
         assert len([*ImageSequence.Iterator(film)]) == 3
+    late = asked("film", "run", "--out", "y.gif", "--from", 5, "--to", 6)
+    assert late.stderr == "error: --from 5: must be below 0.28 s, the end of the run\n"
     again = asked("film", "run", "--out", "x.gif")
     assert again.returncode == 2
     assert "exists; choose" in again.stderr
