@@ -59,10 +59,14 @@ class _WithNegatives(click.Command):
     "for_s",
     type=click.FloatRange(operator_frames.SHORTEST_S, operator_frames.LONGEST_S),
     metavar="S",
-    help=f"Seconds that a fault lasts, {operator_frames.SHORTEST_S:g} to "
+    help=f"Seconds that it lasts, {operator_frames.SHORTEST_S:g} to "
     f"{operator_frames.LONGEST_S:g} in steps of 0.1.  [default: until it is cleared]",
 )
-@click.option("--value", type=float, help="The fault's one number, in the unit of what fails.")
+@click.option(
+    "--value",
+    type=float,
+    help="The one number, in the unit of what fails; the size of what pushes.",
+)
 @click.option("--with", "other", type=click.Choice(MEASURED), help="The sensor swapped with WHAT.")
 def command(
     what: str,
@@ -72,16 +76,18 @@ def command(
     value: float | None,
     other: str | None,
 ) -> None:
-    """Inject or clear a fault in a running simulation: inject torque dead --for 2, inject clear.
+    """Inject or clear a fault or a disturbance in a running simulation: inject torque dead --for 2.
 
     WHAT is torque, force-difference, sensor (of D*), or a further sensor of the scenario: yaw-rate,
     lateral-acceleration, steering-angle, torque-echo, force-difference-echo. HOW is the failure:
     dead (--value: the remaining share), stuck, offset, drift, oscillating, rate-limited, late; a
     sensor is biased rather than offset, or scaled. A further sensor is also invalid, tick-stuck or
     swapped (--with), and an echo lying. The frames of each can fail too: missing, corrupted,
-    repeated, late or forged, as in frames-late. Or WHAT is clear [all or one target], reference
-    MPS2 (added to the scenario's reference), pace TIMES-REAL-TIME (also ends a pause), pause, or
-    step TICKS (of a paused run).
+    repeated, late or forged, as in frames-late. Or WHAT is world, and HOW is what pushes with
+    --value: gust (N, 0.3 m ahead of the centre of gravity), turbulence (N rms over 50 m), bank (%),
+    friction (a factor), steering-kick (N m); or push, of a plant other than a car. Or WHAT is clear
+    [all or one target], reference MPS2 (added to the scenario's reference), pace TIMES-REAL-TIME
+    (also ends a pause), pause, or step TICKS (of a paused run).
     """
     if (other is None) == (how == "swapped"):
         raise click.UsageError("--with: must name the other sensor of a swap, and nothing else")
@@ -106,7 +112,7 @@ def _command(
             raise click.UsageError(f"{_said(what, how)}: must be one of {', '.join(kinds)}")
         return operator_frames.Command("INJECT", kinds[how], what, value, for_s)
     if for_s is not None or value is not None:
-        raise click.UsageError(f"{what}: --for and --value are those of a fault")
+        raise click.UsageError(f"{what}: --for and --value are of faults and disturbances")
     if what == "clear":
         place = how or operator_frames.ALL
         if place not in (operator_frames.ALL, *operator_frames.places()):

@@ -12,7 +12,7 @@ from collections.abc import Container, Sequence
 from typing import Final, NamedTuple
 
 from can_rig.logs.columns import APPLIED, EVIDENCE, EVIDENCE_OF, TAKEN, TRUE_OUTPUT
-from can_rig.scenario.disturbance_settings import DisturbanceSettings
+from can_rig.scenario.disturbance_settings import PUSH, DisturbanceSettings
 from can_rig.scenario.fault_settings import CONTROLLER, PLACES, RESTARTED, FaultSettings
 from can_rig.scenario.plant_settings import PlantSettings, SignalSettings
 from can_rig.scenario.sensor_settings import ECHOES, MEASURED, USUAL
@@ -46,6 +46,8 @@ class Names(NamedTuple):
     def at(self, place: str) -> Signal:
         """The signal of an actuator or a sensor, by the word of a fault's place."""
         if place in MEASURED:
+            if place in OUTPUTS and self != CAR:
+                return Signal(OUTPUTS[place])
             units = ("rad/s", "m/s²", "rad", self.command_1.unit, self.command_2.unit)
             return Signal(place.replace("-", " "), units[MEASURED.index(place)])
         return self[(1, 2, 0)[PLACES.index(place)]]
@@ -56,6 +58,10 @@ CAR: Final = Names(
     Signal("steering torque", "N m", "torque", "the torque"),
     Signal("rear force difference", "N", "X_diff", "X_diff"),
 )
+OUTPUTS: Final = {
+    each: f"output {number}" for number, each in enumerate(MEASURED[: -len(ECHOES)], start=2)
+}
+"""Names of the further outputs of a plant other than a car, by their sensors."""
 BY_NUMBERS: Final = ("output y", "input 1", "input 2")
 """Names of signals that the scenario leaves unnamed."""
 
@@ -159,9 +165,10 @@ def disturbance_label(disturbance: DisturbanceSettings) -> str:
         "turbulence": ("turbulence of", of.intensity_n, "N rms"),
         "bank": ("road banked by", of.bank_percent, "%"),
         "steering-kick": ("steering kick of", of.torque_nm, "N m"),
+        PUSH: ("push of", of.size, ""),
     }
     what, size, unit = words[of.kind]
-    return f"{what} {size:g} {unit}"
+    return f"{what} {size:g} {unit}".rstrip()
 
 
 def disturbance_in_words(disturbance: DisturbanceSettings, end_s: float) -> str:
@@ -222,10 +229,12 @@ def column_names(plant: PlantSettings, further: Container[str] = ()) -> dict[str
     signals = names_of(plant)
     endings = [OF_CAR[each][1] if each in OF_CAR else _ending(each.unit) for each in signals]
     stems = [OF_CAR[each][0] if each in OF_CAR else _word(each.name) for each in signals]
-    names = _columns(stems, endings)
+    said = {} if plant.is_car else OUTPUTS
+    outputs = {USUAL[each].column: f"measured_{_word(said[each])}" for each in said}
+    names = _columns(stems, endings) | outputs
     others = set(TAKEN) - set(names)
     if not all(stems) or len({*names.values()} - others) < len(names):
-        names = _columns(ROLES, endings)
+        names = _columns(ROLES, endings) | outputs
     return {column: column if name in further else name for column, name in names.items()}
 
 

@@ -14,8 +14,10 @@ import re
 import sys
 import textwrap
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from inspect import unwrap
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -40,6 +42,8 @@ from can_rig.export.source import (
 )
 from can_rig.export.subset import EXTREMES, PLAIN_REAL, ROUNDED_EXACTLY, Program, Typed, called
 from firmware_model.discretisation.filters import KEYWORDS
+from firmware_model.discretisation.schedules import schedule
+from firmware_model.discretisation.tables import build
 from firmware_model.law.layout import Table, precision_of
 from firmware_model.law.schedule import Constants
 from firmware_model.law.structs import Field, Precision, Struct, fields_of
@@ -895,20 +899,22 @@ def constants_files(table: Table, title: str, speeds: Constants | None = None) -
         title: the description of the table.
         speeds: of ``schedules.schedule``, where the speed of the car changes.
     """
-    memories: list[tuple[str, type[Struct], Struct]] = [
-        ("layout_table controller_table", Table, table)
+    memories: list[tuple[str, type[Struct], Struct, Callable[..., object]]] = [
+        ("layout_table controller_table", Table, table, build)
     ]
     if speeds is not None:
-        memories.append(("schedule_constants controller_schedule", Constants, speeds))
+        memories.append(("schedule_constants controller_schedule", Constants, speeds, schedule))
     header = [
         *comment(title), "#ifndef CONSTANTS_H", "#define CONSTANTS_H", "", '#include "layout.h"',
         *([] if speeds is None else ['#include "schedule.h"']), "",
         *(f"extern const struct {what};" for what, *_ in memories), "", "#endif",
     ]  # fmt: skip
     source = [*comment(title), '#include "constants.h"']
-    for what, struct, record in memories:
+    for what, struct, record, maker in memories:
         members = _members(struct, record, precision_of(table), INDENT)
-        source += ["", f"const struct {what} = {{", *members, "};"]
+        place = unwrap(maker).__code__
+        line = f"/* {Path(place.co_filename).name}, line {place.co_firstlineno} */"
+        source += ["", line, f"const struct {what} = {{", *members, "};"]
     return {"constants.h": _text(header), "constants.c": _text(source)}
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import zipfile
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, NamedTuple
 
@@ -60,8 +60,9 @@ class Request:
         parameters: the FMU's parameters, in tables.
         inputs: the keys of the inputs, in their order.
         outputs: the keys of the outputs.
-        codes: of these, the keys of outputs that may be whole numbers.
         fmi_type: the type to run; None: co-simulation where the FMU offers it.
+        codes: the keys of outputs that may be whole numbers.
+        at_rest: values of inputs at rest, by key; 0 for every other input.
     """
 
     table: str
@@ -72,6 +73,7 @@ class Request:
     outputs: Sequence[str]
     fmi_type: str | None = None
     codes: Collection[str] = ()
+    at_rest: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,7 @@ class Description:
         outputs: by key.
         signals: the other recorded variables, by column name.
         parameters: values set before the start, by the FMU's names.
+        at_rest: the inputs' values at rest.
     """
 
     path: Path
@@ -95,6 +98,7 @@ class Description:
     outputs: dict[str, Variable]
     signals: dict[str, Variable]
     parameters: dict[str, bool | int | float | str]
+    at_rest: tuple[float, ...]
 
 
 def describe(request: Request) -> Description:
@@ -130,6 +134,7 @@ def describe(request: Request) -> Description:
         outputs=outputs,
         signals={key: names.number(key) for key in columns},
         parameters=names.parameters(),
+        at_rest=tuple(request.at_rest.get(key, 0.0) for key in request.inputs),
     )
 
 

@@ -43,7 +43,7 @@ class FmuError(Exception):
 
 
 class Instance:
-    """An FMU at rest at 0 s, its inputs 0, its parameters set.
+    """An FMU at rest at 0 s, its inputs at rest, its parameters set.
 
     Each instance has a folder and a library, so two instances never share an FMU's static memory.
 
@@ -76,7 +76,7 @@ class Instance:
         left = apply_start_values(fmu, model, parameters, settable_in_instantiated)
         fmu.enterInitializationMode()
         apply_start_values(fmu, model, left, settable_in_initialization_mode)
-        self.write_inputs([0.0] * len(self.description.inputs))
+        self.write_inputs(self.description.at_rest)
         fmu.exitInitializationMode()
 
     def write_inputs(self, values: Sequence[float]) -> None:

@@ -20,8 +20,12 @@ SEQUENCES: Final = 255
 
 ALL: Final = "all"
 """Means every place."""
-CLEAR_ALL: Final = "CLEAR_ALL"
-"""The frame's action of a ``CLEAR`` of every place."""
+WORLD: Final = "world"
+"""The place of every disturbance."""
+CLEARS: Final = {"CLEAR_ALL": ALL, "CLEAR_WORLD": WORLD}
+"""The frame's actions of a ``CLEAR`` of what no ``Place`` names."""
+OF_FAULTS: Final = ("actuator-", "sensor-", "frames-")
+"""How the kind of a fault begins; every other kind is a disturbance's."""
 
 SHORTEST_S: Final = 0.1
 LONGEST_S: Final = 25.5
@@ -37,9 +41,9 @@ class Command(NamedTuple):
 
     action: Action
     kind: str | None = None
-    """Of a fault."""
+    """Of a fault or a disturbance."""
     place: str = ALL
-    """The place of the fault, or the place to clear."""
+    """The place of the fault, ``WORLD`` for a disturbance, or the place to clear."""
     value: float | None = None
     duration_s: float | None = None
     """None: until cleared."""
@@ -88,13 +92,13 @@ def identifiers() -> Identifiers:
 
 
 def kinds() -> tuple[str, ...]:
-    """The injectable faults, by a scenario's words."""
+    """The injectable faults and disturbances, by a scenario's words."""
     return tuple(str(word) for word in _choices("Kind").values())
 
 
 def places() -> tuple[str, ...]:
-    """What can fail: both channels, the sensor of D*, and the further sensors."""
-    return tuple(_choices("Place").values())
+    """What can fail: both channels, the sensor of D*, the further sensors; and ``WORLD``."""
+    return (*_choices("Place").values(), WORLD)
 
 
 @cache
@@ -127,14 +131,15 @@ def read_taken(message: Message) -> tuple[int, Command] | None:
 def _command_message(name: str, command: Command, sequence: int) -> Message:
     value = _message("RIG_CONTROL").get_signal_by_name("Value")
     low, high = float(value.minimum or 0), float(value.maximum or 0)
-    clears_all = command.action == "CLEAR" and command.place == ALL
-    data = {
+    clears = {place: action for action, place in CLEARS.items()}
+    wide = clears.get(command.place, "") if command.action == "CLEAR" else ""
+    data: dict[str, float | str] = {
         "Checksum": 0,
         "AliveCounter": 0,
-        "Action": CLEAR_ALL if clears_all else command.action,
+        "Action": wide or command.action,
         "Sequence": sequence,
         "Kind": command.kind or 0,
-        "Place": 0 if command.place == ALL else command.place,
+        "Place": 0 if command.place in clears else command.place,
         "HasValue": command.value is not None,
         "Duration": 0.0
         if command.duration_s is None
@@ -154,8 +159,10 @@ def _read_command(name: str, message: Message) -> tuple[int, Command] | None:
     action, kind, place = (str(said[name]) for name in ("Action", "Kind", "Place"))
     if action not in _choices("Action").values():
         return None
-    if action == CLEAR_ALL:
-        action, place = "CLEAR", ALL
+    if action in CLEARS:
+        action, place = "CLEAR", CLEARS[action]
+    elif action == "INJECT" and not kind.startswith(OF_FAULTS):
+        place = WORLD
     elif action not in {"INJECT", "CLEAR"}:
         place = ALL
     injects = action == "INJECT"

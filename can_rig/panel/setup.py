@@ -8,10 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from can_rig.drawing.names import HOW, Names, names_of, with_unit
+from can_rig.drawing.names import HOW, Names, in_words, names_of, with_unit
 from can_rig.frames import operator_frames
 from can_rig.frames.network import Network
-from can_rig.plant.faults.injection import kinds_of
+from can_rig.plant.faults.injection import Injection, kinds_of, sizes_of
 from can_rig.results.curves import charts_of, curves_of
 from can_rig.results.motion import dead_of, setting_of
 from can_rig.scenario.fault_settings import CHANNELS, PLACES, SENSOR, SWAPPED, key_of
@@ -69,7 +69,21 @@ def _places(scenario: Scenario, names: Names) -> list[dict[str, Any]]:
             "kinds": list(_kinds(place, names.at(place).unit, its)),
         }
         for place in (*PLACES, *its)
-    ]
+    ] + _world(scenario)
+
+
+def _world(scenario: Scenario) -> list[dict[str, Any]]:
+    """The disturbances that can push the plant, as one more place; none without any."""
+    kinds = []
+    for kind in kinds_of(operator_frames.WORLD):
+        some = operator_frames.Command("INJECT", kind, operator_frames.WORLD, 0.5)
+        if Injection(scenario).inject(some, 0):
+            words, unit = ("factor", "") if kind == "friction" else in_words(sizes_of(kind)[0])
+            kinds.append(
+                {"kind": kind, "words": kind.replace("-", " "), "value": with_unit(words, unit)}
+            )
+    words = "wind and road" if scenario.plant.is_car else "disturbance"
+    return [{"place": operator_frames.WORLD, "words": words, "kinds": kinds}] if kinds else []
 
 
 def _kinds(place: str, unit: str, sensors: Sequence[str]) -> Iterator[dict[str, Any]]:

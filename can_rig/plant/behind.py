@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -16,7 +17,7 @@ from can_rig.errors import ScenarioError
 from can_rig.logs.columns import APPLIED, SECOND_MASS, TRUE_OUTPUT
 from can_rig.plant.actuators import FollowedCommand
 from can_rig.plant.disturbances import Disturbances
-from can_rig.plant.protocol import GuardedPlant, load_plant, require_world
+from can_rig.plant.protocol import GuardedPlant, load_plant
 from can_rig.plant.sensor import FilteredSamples
 from can_rig.scenario.build import but_for_noise, continuous_car, continuous_plant
 from can_rig.scenario.plant_settings import PlantSettings
@@ -31,6 +32,7 @@ from firmware_model.analysis.witnesses import (
     with_readings,
 )
 from firmware_model.design.actuator_dynamics import IDEAL, Stage
+from firmware_model.design.plants import Plant, push
 from firmware_model.design.vehicle import SPECIFIC_FORCE
 from firmware_model.law.structs import FloatArray
 
@@ -90,6 +92,18 @@ _READS: Final[dict[str, int]] = {
 }
 
 
+def with_outputs(plant: Plant, sensors: Sensors) -> Plant:
+    """``plant`` with what the further outputs of a plant by numbers read of its states."""
+    outputs = {_READS[each.measures]: each.c for each in sensors if each.c is not None}
+    if not outputs:
+        return plant
+    world = plant.world or push(np.zeros(len(plant.a)))
+    rows = world.rows.copy()
+    for at, row in outputs.items():
+        rows[at, : len(row)] = row
+    return replace(plant, world=replace(world, rows=rows))
+
+
 @remembered(16, by=but_for_noise)
 def sampled_plant(settings: PlantSettings, tick_s: float, sensors: Sensors = ()) -> SampledPlant:
     """A linear plant behind its actuators and its sensors between two ticks.
@@ -97,9 +111,8 @@ def sampled_plant(settings: PlantSettings, tick_s: float, sensors: Sensors = ())
     Raises:
         ScenarioError: a car that is not stable.
     """
-    plant, readings = with_readings(
-        continuous_plant(settings), settings.stages, readings_of(sensors)
-    )
+    bare = with_outputs(continuous_plant(settings), sensors)
+    plant, readings = with_readings(bare, settings.stages, readings_of(sensors))
     return sample(plant, tick_s, readings)
 
 
@@ -226,7 +239,7 @@ class ClassBehind:
     With immediate actuators and an immediate sensor, one step spans the whole tick.
 
     Raises:
-        ScenarioError: a class that violates ``PlantProtocol``, or that the world cannot push.
+        ScenarioError: a class that violates ``PlantProtocol``.
     """
 
     def __init__(
@@ -237,8 +250,6 @@ class ClassBehind:
         world: Disturbances | None = None,
     ) -> None:
         plant = load_plant(settings.kind, settings)
-        if world is not None:
-            require_world(settings.kind, plant)
         self._world, self._tick, self._speed_mps = world, 0, settings.speed_mps
         self._plant = GuardedPlant(settings.kind, plant)
         actuator_1, actuator_2, sensor = settings.stages
@@ -271,6 +282,11 @@ class ClassBehind:
             APPLIED[1]: self._actuators[1].output(command_2, left_2),
             **({} if self._world is None else self._world.report(self._tick)),
         }
+
+    def push(self, world: Disturbances) -> None:
+        """From this tick on, another world."""
+        assert self._world is not None
+        self._world = world
 
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float
@@ -317,6 +333,8 @@ class ClassBehind:
             return []
         now, then = self._world.during(self._tick)
         self._tick += 1
+        if self._world.is_calm:
+            return []
         parts = np.arange(self._steps + 1)[:, None] / self._steps
         rows = np.hstack([now + parts * (then - now), np.full_like(parts, self._speed_mps)])
         return [rows[step : step + 2] for step in range(self._steps)]

@@ -16,8 +16,11 @@ from can_rig.plant.behind import (
     plant_behind,
     readings_of,
     sampled_plant,
+    with_outputs,
 )
 from can_rig.plant.disturbances import BANK, BLOCK, Disturbances
+from can_rig.plant.protocol import is_pushable, require_world
+from can_rig.scenario.build import continuous_car
 from can_rig.scenario.driving import SpeedProfile, speed_profile
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
@@ -27,6 +30,7 @@ from firmware_model.analysis.changing_plant import (
     ChangingPlant,
     changing_plant,
     follow_changing,
+    pushed_plant,
     read_changing,
     specific_force,
 )
@@ -38,14 +42,22 @@ ACCELERATIONS: Final = ("specific_force_mps2", "lateral_acceleration_mps2")
 """Columns that a car in the world reports."""
 
 
-def plant_of(scenario: Scenario) -> PlantBehind:
+def plant_of(scenario: Scenario, changing: bool = False) -> PlantBehind:
     """Make the plant of ``scenario``, at rest, behind its actuators and its sensor.
 
+    Args:
+        scenario: the run.
+        changing: whether the world may begin to push during the run.
+
     Raises:
-        ScenarioError: an unstable car, a class without the plant's methods, an invalid drive.
+        ScenarioError: an unstable car, a class without the plant's methods, an invalid drive, a
+            plant that the disturbances cannot push.
     """
     made = Disturbances(scenario)
-    world = made if scenario.disturbances or not made.is_calm else None
+    if scenario.disturbances:
+        require_world(scenario.plant, scenario.disturbances)
+    pushes = not made.is_calm or (changing and is_pushable(scenario.plant))
+    world = made if pushes else None
     if scenario.drive.is_given or (world is not None and not scenario.plant.is_own):
         return ChangingCar(scenario, world)
     if world is None:
@@ -72,13 +84,20 @@ def linear_plant(scenario: Scenario) -> SampledPlant | None:
 def _changing(
     settings: PlantSettings, fastest_mps: float, tick_s: float, sensors: Sensors
 ) -> ChangingPlant:
+    readings = readings_of(sensors)
+    if not settings.is_car:
+        pushed = with_outputs(continuous_car(settings), sensors)
+        return pushed_plant(pushed, settings.stages, tick_s, readings)
     return changing_plant(
-        settings, settings.variant, settings.stages, fastest_mps, tick_s, readings_of(sensors)
+        settings, settings.variant, settings.stages, fastest_mps, tick_s, readings
     )
 
 
 class ChangingCar:
-    """``LinearBehind`` with a changing speed, or in a world that pushes; see ``PlantBehind``."""
+    """``LinearBehind`` with a changing speed, or in a world that pushes; see ``PlantBehind``.
+
+    In a calm world, at one speed, the plant moves as ``LinearBehind`` does, bit for bit.
+    """
 
     def __init__(self, scenario: Scenario, world: Disturbances | None = None) -> None:
         profile = (
@@ -91,6 +110,7 @@ class ChangingCar:
         self._car = LinearBehind(scenario.plant, scenario.tick_s, scenario.sensors)
         self.witnesses, self._acting = self._car.witnesses, changing.acting
         self._world, self._says_speed = world, scenario.drive.is_given
+        self._is_car = scenario.plant.is_car
         self._constants, self._work = changing.constants, changing.work
         self._changing, self._profile, self._tick_s = changing, profile, scenario.tick_ns * 1e-9
         self._tick, self._page_at, self._page = 0, -1, np.zeros((0, 0, 0))
@@ -109,14 +129,24 @@ class ChangingCar:
             values[SPEED] = speed_mps
         if self._world is None:
             return values
+        values |= self._world.report(self._tick)
+        if not self._is_car:
+            return values
         now = self._world.during(self._tick)
         force = float(specific_force(self._constants, self._car.memory[0], speed_mps, now))
-        return values | self._world.report(self._tick) | accelerations(force, now)
+        return values | accelerations(force, now)
+
+    def push(self, world: Disturbances) -> None:
+        """From this tick on, another world."""
+        self._world = world
 
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> tuple[float, float]:
         """See ``PlantBehind``."""
+        if self._world is not None and self._world.is_calm and not self._says_speed:
+            self._tick += 1
+            return self._car.follow(command_1, command_2, left_1, left_2)
         output, read = follow_changing(
             self._constants,
             self._car.memory,

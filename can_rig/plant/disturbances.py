@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from can_rig.scenario.disturbance_settings import DisturbanceSettings
+from can_rig.scenario.disturbance_settings import PUSH, DisturbanceSettings
 from can_rig.scenario.driving import WORLD_COLUMNS, SpeedProfile, speed_profile
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.changing_plant import FRONT_FRICTION, REAR_FRICTION, WORLD_ROW
@@ -37,6 +37,7 @@ class Disturbances:
 
     def __init__(self, scenario: Scenario) -> None:
         self._tick_ns = scenario.tick_ns
+        self._is_car = scenario.plant.is_car
         self._parts = [
             (each, _turbulence(scenario, number) if each.kind == "turbulence" else None)
             for number, each in enumerate(scenario.disturbance)
@@ -57,12 +58,13 @@ class Disturbances:
 
     def report(self, tick: int) -> dict[str, float]:
         """The world at ``tick``, by column."""
-        return dict(zip(WORLD_COLUMNS, self.during(tick)[0].tolist(), strict=True))
+        now = self.during(tick)[0].tolist()
+        return dict(zip(WORLD_COLUMNS, now, strict=True)) if self._is_car else {PUSH: now[FORCE]}
 
     def at(self, ticks: range) -> FloatArray:
         """(len(ticks), ``WORLD_ROW``), the world at consecutive ``ticks`` from 0 on.
 
-        A row has the values of ``WORLD_COLUMNS``.
+        A row has the values of ``WORLD_COLUMNS``; ``PUSH`` is in the place of the side force.
         """
         rows = np.tile(CALM, (len(ticks), 1))
         for each, turbulence in self._parts:
@@ -73,6 +75,8 @@ class Disturbances:
                     force = (each.intensity_n or 0.0) * share * turbulence.at(ticks)
                 rows[:, FORCE] += force
                 rows[:, MOMENT] += (each.arm_m or 0.0) * force
+            elif each.kind == PUSH:
+                rows[:, FORCE] += (each.size or 0.0) * share
             elif each.kind == "bank":
                 rows[:, BANK] += math.atan((each.bank_percent or 0.0) / 100.0) * share
             elif each.kind == "steering-kick":

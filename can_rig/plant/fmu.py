@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Final
+
 from can_rig.errors import ScenarioError
 from can_rig.fmu.file import Description, Request, describe
 from can_rig.fmu.instance import FmuError, Instance, stepping
+from can_rig.plant.disturbances import CALM
+from can_rig.scenario.disturbance_settings import PUSH
+from can_rig.scenario.driving import WORLD_COLUMNS
 from can_rig.scenario.plant_settings import SIGNALS, PlantSettings
+from firmware_model.law.structs import FloatArray
+
+_AT: Final = {**{name: at for at, name in enumerate(WORLD_COLUMNS)}, PUSH: 0}
+"""The place of each input in a row of the world."""
 
 
 def load_fmu(settings: PlantSettings) -> FmuPlant:
@@ -20,26 +30,38 @@ def load_fmu(settings: PlantSettings) -> FmuPlant:
             settings.kind,
             settings.variables,
             settings.parameters,
-            inputs=SIGNALS[:2],
+            inputs=(*SIGNALS[:2], *_pushed(settings)),
             outputs=SIGNALS[2:],
             fmi_type=settings.fmi_type,
+            at_rest=dict(zip(WORLD_COLUMNS, CALM.tolist(), strict=True)),
         )
     )
     try:
-        return FmuPlant(description)
+        return FmuPlant(description, _pushed(settings))
     except FmuError as error:
         raise ScenarioError(f"plant.kind = {settings.kind!r}: does not start: {error}") from None
 
 
+def _pushed(settings: PlantSettings) -> list[str]:
+    """The inputs of the FMU by which the world pushes."""
+    return [each for each in (*WORLD_COLUMNS, PUSH) if each in settings.variables]
+
+
 class FmuPlant:
-    """See ``plant.protocol.ReportingPlant``.
+    """See ``plant.protocol.ReportingPlant`` and ``PlantInTheWorld``.
+
+    Args:
+        description: of the FMU.
+        pushed: the inputs behind both commands, by ``WORLD_COLUMNS`` and ``PUSH``.
 
     Raises:
         FmuError: see ``Instance``.
     """
 
-    def __init__(self, description: Description) -> None:
+    def __init__(self, description: Description, pushed: Sequence[str] = ()) -> None:
         self._description = description
+        self._columns = [_AT[each] for each in pushed]
+        self._calm = [*CALM[self._columns].tolist()]
         self.reset()
 
     def reset(self) -> None:
@@ -52,14 +74,23 @@ class FmuPlant:
         with self._instance.explained():
             self._stepping = stepping(self._instance)
 
-    def advance(self, dt_s: float, torque_nm: float, force_difference_n: float) -> float:
+    def advance(
+        self,
+        dt_s: float,
+        torque_nm: float,
+        force_difference_n: float,
+        world: FloatArray | None = None,
+    ) -> float:
         """The output ``dt_s`` seconds later; the inputs keep their values until then.
+
+        The world pushes with its mean over the step.
 
         Raises:
             FmuError: the FMU or CVODE fails.
         """
         with self._instance.explained():
-            self._stepping.step(dt_s, (torque_nm, force_difference_n))
+            pushes = self._calm if world is None else world.mean(axis=0)[self._columns].tolist()
+            self._stepping.step(dt_s, (torque_nm, force_difference_n, *pushes))
             return self._instance.read(self._description.outputs[SIGNALS[2]])
 
     def signals(self) -> dict[str, float]:

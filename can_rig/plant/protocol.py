@@ -20,13 +20,15 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol, runtime_checkable
 
 from can_rig.errors import RigError, ScenarioError, require
 from can_rig.logs.columns import TAKEN
+from can_rig.scenario.disturbance_settings import PUSH, DisturbanceSettings
+from can_rig.scenario.driving import WORLD_COLUMNS
 from can_rig.scenario.own_class import as_float, failure, find_class, guard, require_signature
-from can_rig.scenario.plant_settings import CAR, FMU, PlantSettings
+from can_rig.scenario.plant_settings import PUSHED_BY, PlantSettings
 from can_rig.scenario.sensor_settings import USUAL
 from firmware_model.law.structs import FloatArray
 
@@ -72,7 +74,8 @@ class PlantInTheWorld(PlantProtocol, Protocol):
 
         ``world`` (2, 7) has side force [N], yaw moment [N m], bank [rad], torque on the column [N
         m], friction factors of the front and the rear axle, and speed [m/s]: now, and ``dt_s``
-        seconds later, with straight lines between. A scenario without disturbances leaves it out.
+        seconds later, with straight lines between; a plant other than a car has the push in the
+        place of the side force. A scenario without disturbances leaves it out.
         """
 
 
@@ -106,17 +109,42 @@ def load_plant(kind: str, settings: PlantSettings) -> PlantProtocol:
     return _construct(kind, plant_class, settings)
 
 
-def require_world(kind: str, plant: PlantProtocol) -> None:
-    """Refuse a plant without the optional argument of ``PlantInTheWorld``.
+def require_world(settings: PlantSettings, disturbances: Iterable[DisturbanceSettings]) -> None:
+    """Refuse a plant of one's own that ``disturbances`` cannot push; see ``PlantInTheWorld``.
 
     Raises:
-        ScenarioError: the plant's ``advance`` has no ``world``.
+        ScenarioError: a class whose ``advance`` has no ``world``, an FMU without the inputs.
     """
-    if "world" not in inspect.signature(plant.advance).parameters:
-        right = "advance must have a fourth argument world; nothing pushes this plant"
-        if kind.startswith(FMU):
-            right = f"must be {CAR} or a class; the rig sets only both commands of an FMU"
-        raise ScenarioError(f"disturbance: plant.kind = {kind!r}: {right}")
+    kind = settings.kind
+    if settings.is_class:
+        advance = getattr(find_class(_where(kind), kind, "advance"), "advance", None)
+        if callable(advance) and "world" not in inspect.signature(advance).parameters:
+            raise ScenarioError(
+                f"disturbance: plant.kind = {kind!r}: advance must have a fourth argument world; "
+                "nothing pushes this plant"
+            )
+    if not settings.is_fmu:
+        return
+    for each in disturbances:
+        for column in each.columns:
+            if column not in settings.variables:
+                raise ScenarioError(
+                    f"disturbance.kind = {each.kind!r}: plant.variables.{column} must be set, as "
+                    "the name of the FMU's input"
+                )
+
+
+def is_pushable(settings: PlantSettings) -> bool:
+    """Whether the world can push the plant at all."""
+    key = PUSHED_BY.get(settings.kind)
+    if settings.is_fmu:
+        return any(column in settings.variables for column in (*WORLD_COLUMNS, PUSH))
+    if settings.is_class:
+        try:
+            require_world(settings, ())
+        except ScenarioError:
+            return False
+    return key is None or bool(getattr(settings, key))
 
 
 class GuardedPlant:

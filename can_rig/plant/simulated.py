@@ -10,7 +10,9 @@ import numpy as np
 
 from can_rig.frames.network import Network
 from can_rig.plant.actuators import Actuator, actuator_limits
-from can_rig.plant.changing_car import plant_of
+from can_rig.plant.behind import ClassBehind
+from can_rig.plant.changing_car import ChangingCar, plant_of
+from can_rig.plant.disturbances import Disturbances
 from can_rig.plant.faults.plant_faults import FaultsByTick
 from can_rig.plant.sensor import SensorNoise
 from can_rig.plant.witnesses import Said, SensesByTick
@@ -35,7 +37,8 @@ class SimulatedPlant:
         self, scenario: Scenario, changing: bool = False, network: Network | None = None
     ) -> None:
         hold_ticks = round(scenario.actuator.hold_s / scenario.tick_s)
-        self._plant = plant_of(scenario)
+        self._plant = plant_of(scenario, changing)
+        self._pushed_by = scenario.disturbance
         self._tick = 0
         self._read = 0.0  # at rest
         self._faults = FaultsByTick(scenario, changing)
@@ -67,8 +70,15 @@ class SimulatedPlant:
         limited(0.0, 0.0, *self._limits[0])
 
     def change_faults(self, scenario: Scenario) -> None:
-        """Take the faults of ``scenario`` from this tick on, before its measurement."""
+        """Take the faults and the disturbances of ``scenario`` from this tick on.
+
+        The measurement of this tick is still to come.
+        """
         self._faults.change(scenario)
+        if scenario.disturbance != self._pushed_by:
+            assert isinstance(self._plant, ChangingCar | ClassBehind)
+            self._pushed_by = scenario.disturbance
+            self._plant.push(Disturbances(scenario))
         if self._senses is not None:
             self._senses.change_faults(scenario, self._tick)
 

@@ -89,9 +89,10 @@ def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
     loop = loop_of(scenario)
     loop.run(first + rows)
     trace = loop.trace
-    force = np.where(np.isnan(trace.measured), np.nan, trace.command_2)
-    car = car_output(scenario, trace.measured, trace.measurement)
-    signals_found = trace.measured, force, car, trace.measurement
+    measured = measured_in(scenario, loop)
+    force = np.where(np.isnan(measured), np.nan, trace.command_2)
+    car = car_output(scenario, measured, trace.measurement)
+    signals_found = measured, force, car, trace.measurement
     return Counterfactual(*(values[first:ticks] for values in signals_found))
 
 
@@ -101,7 +102,7 @@ def _long(scenario: Scenario) -> Counterfactual:
     columns = Counterfactual(*(paged.empty(scenario.ticks) for _ in Counterfactual._fields))
     for ticks, loop, rows in blocks_of(scenario):
         trace, some = loop.trace, slice(ticks.start, ticks.stop)
-        measured = trace.measured[rows]
+        measured = measured_in(scenario, loop)[rows]
         columns.dstar_mps2[some] = measured
         columns.force_difference_n[some] = np.where(
             np.isnan(measured), np.nan, trace.command_2[rows]
@@ -120,6 +121,11 @@ def loop_of(scenario: Scenario) -> Simulation:
     return shared.loop(scenario, shared.inputs_of(scenario), plant)
 
 
+def measured_in(scenario: Scenario, loop: Simulation) -> FloatArray:
+    """(ticks,), D* as measured; of a car without a sensor of D* the car's own."""
+    return loop.trace.measurement if scenario.plant.sensor.is_made else loop.trace.measured
+
+
 def car_output(
     scenario: Scenario, measured: FloatArray, true_output: FloatArray | None, first: int = 0
 ) -> FloatArray:
@@ -134,6 +140,8 @@ def car_output(
         true_output: (ticks,), the car's true output; None: unknown.
         first: the first tick.
     """
+    if scenario.plant.sensor.is_made:
+        return np.full(len(measured), math.nan) if true_output is None else true_output
     ticks = range(first, first + len(measured))
     output = measured - PlantFaults(scenario).bias(ticks)
     hidden: NDArray[np.bool_] = np.zeros(len(measured), dtype=np.bool_)

@@ -19,7 +19,9 @@ from can_rig.logs.columns import EVIDENCE, VERDICT
 from can_rig.results.signals import Signals
 from can_rig.scenario.controls import controls
 from can_rig.scenario.driving import speeds_at_ticks
+from can_rig.scenario.sensor_settings import LATERAL_ACCELERATION, USUAL, YAW_RATE
 from can_rig.scenario.settings import Scenario
+from firmware_model.design.vehicle import dstar
 from firmware_model.firmware import Firmware
 from firmware_model.law.status import Verdict
 from firmware_model.law.structs import FloatArray
@@ -77,6 +79,21 @@ class Reasoning:
         return self._firmware.commands
 
 
+def _with_made_output(scenario: Scenario, network: Network, signals: Signals) -> Signals:
+    """``signals`` with the D* that the controller of a car without a sensor of D* makes."""
+    if not scenario.plant.sensor.is_made:
+        return signals
+    lateral, turning = (
+        signals.sensors[USUAL[each].column] for each in (LATERAL_ACCELERATION, YAW_RATE)
+    )
+    speed, heard = np.full(len(signals), scenario.plant.speed_mps), _speeds(scenario, network)
+    if heard is not None:
+        ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
+        speed = np.array(heard)[np.minimum(ticks, len(heard) - 1)]
+    made = dstar(scenario.plant.lateral_weight, lateral, turning, speed)
+    return replace(signals, dstar_mps2=made)
+
+
 def _as_said(signals: Signals) -> Signals:
     """``signals`` with the verdicts of a controller of one's own, whose evidence is not known."""
     columns = {name: paged.empty(len(signals)) for name in (VERDICT, *EVIDENCE)}
@@ -98,6 +115,7 @@ def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Sign
     Raises:
         ScenarioError: the design fails.
     """
+    signals = _with_made_output(scenario, network, signals)
     if not scenario.controller.is_ours:
         return _as_said(signals)
     reasoning = Reasoning(scenario, network)

@@ -51,6 +51,7 @@ def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSe
             settings,
             g1=settings.g1.scaled(gain_1, values.get("speed_1", speed)),
             g2=settings.g2.scaled(gain_2, values.get("speed_2", speed)),
+            gw=settings.gw.scaled(1.0, speed) if settings.gw else settings.gw,
         )
     return replace(
         settings,
@@ -58,6 +59,7 @@ def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSe
         b=tuple(
             (speed * gain_1 * first, speed * gain_2 * second) for first, second in settings.b or ()
         ),
+        e=None if settings.e is None else tuple(speed * each for each in settings.e),
     )
 
 

@@ -23,7 +23,7 @@ from can_rig.scenario.sensor_settings import (
     YAW_RATE,
     FurtherSensor,
 )
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import Scenario, made_noise
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
@@ -238,8 +238,11 @@ def target(scenario: Scenario, network: Network | None) -> Target:
             limits.force_difference_rate_n_per_s,
         )
     )
-    sensor = scenario.model.sensor
-    lsb = lsb_1 = lsb_2 = 0.0
+    sensor, lsb, lsb_1, lsb_2 = scenario.model.sensor, 0.0, 0.0, 0.0
+    noise, step = sensor.noise_mps2, sensor.resolution_mps2
+    if sensor.is_made:
+        found = {each.measures: each for each in scenario.sensors}
+        noise, step = made_noise(scenario.model, found[YAW_RATE], found[LATERAL_ACCELERATION])
     if network is not None:
         command_1, command_2 = network.command_1, network.command_2
         limit_1, limit_2 = min(limit_1, command_1.maximum), min(limit_2, command_2.maximum)
@@ -256,11 +259,11 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         reference_acceleration=reference_acceleration(scenario),
         lsb_1=lsb_1,
         lsb_2=lsb_2,
-        noise_rms=sensor.noise_mps2,
+        noise_rms=noise,
         noise_pole=math.exp(-scenario.tick_s / sensor.lag_s) if sensor.lag_s > 0.0 else 0.0,
         disturbance=scenario.budget.disturbance_mps2,
         gust=scenario.budget.gust_mps2,
-        resolution=math.hypot(sensor.resolution_mps2, lsb),
+        resolution=math.hypot(step, lsb),
         false_alarms_per_hour=scenario.budget.false_alarms_per_hour,
         suspicions_per_hour=scenario.budget.suspicions_per_hour,
         on_confirmation=chosen.compensation == "on-confirmation",
@@ -293,18 +296,14 @@ def _witness(scenario: Scenario) -> Witness | None:
     if not (scenario.model.is_car and YAW_RATE in scenario.heard):
         return None
     turning, lateral = found[YAW_RATE], found[LATERAL_ACCELERATION]
-    weight, speed = scenario.model.lateral_weight, scenario.model.speed_mps
-    of_turning = (1.0 - weight) * speed
-    parts = [
-        factor * figure
-        for factor, each in ((of_turning, turning), (weight, lateral))
-        for figure in (each.noise_rms, each.step)
-    ]
+    model = scenario.model
+    weight, speed = model.lateral_weight, model.speed_mps
+    noise_rms = math.hypot(*made_noise(model, turning, lateral))
     lag_s = (1.0 - weight) * turning.lag_s + weight * lateral.lag_s
     keys, _ = uncertain_keys(scenario)
     measured = scenario.drive.is_given or bool(scenario.network.signals.speed)
     doubt = scenario.budget.box if "speed_mps" in keys and not measured else 0.0
-    return Witness(weight, speed, lag_s, math.hypot(*parts), doubt)
+    return Witness(weight, speed, lag_s, noise_rms, doubt, model.sensor.is_made)
 
 
 def other_plants(scenario: Scenario) -> Callable[[FloatArray], plants.Plant]:

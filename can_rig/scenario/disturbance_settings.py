@@ -14,7 +14,7 @@ from pydantic.dataclasses import dataclass
 from can_rig.scenario.fault_settings import FOR_GOOD_NS, MAX_DURATION_S, Moment
 from can_rig.scenario.plant_settings import STRICT
 
-DisturbanceKind = Literal["none", "gust", "turbulence", "bank", "friction", "steering-kick"]
+DisturbanceKind = Literal["none", "gust", "turbulence", "bank", "friction", "steering-kick", "push"]
 
 NEEDED: Final[dict[str, tuple[str, ...]]] = {
     "gust": ("force_n",),
@@ -22,11 +22,14 @@ NEEDED: Final[dict[str, tuple[str, ...]]] = {
     "bank": ("bank_percent",),
     "friction": ("front", "rear"),
     "steering-kick": ("torque_nm",),
+    "push": ("size",),
 }
 """The keys that each kind must have; friction needs one of its keys at least."""
 
 OPTIONAL: Final = {"gust": ("arm_m",), "turbulence": ("arm_m",)}
 RAMP_S: Final = 0.3
+PUSH: Final = "push"
+"""The kind, and the column, of what pushes a plant other than a car."""
 
 Force = Annotated[float, Field(ge=-1e5, le=1e5)]
 Arm = Annotated[float, Field(ge=-50.0, le=50.0)]
@@ -54,6 +57,7 @@ class DisturbanceSettings:
     front: Friction | None = None
     rear: Friction | None = None
     torque_nm: Force | None = None
+    size: Annotated[float, Field(ge=-1e9, le=1e9)] | None = None
 
     def __post_init__(self) -> None:
         if self.kind == "none":
@@ -73,6 +77,17 @@ class DisturbanceSettings:
             raise ValueError(
                 f"ramp_s = {self.ramp:g}: must be at most {0.5 * self.for_s:g}, half of for_s"
             )
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The inputs of a plant on which the disturbance acts; see ``driving.WORLD_COLUMNS``."""
+        if self.kind in {"gust", "turbulence"}:
+            return ("side_force_n", *(("yaw_moment_nm",) if self.arm_m else ()))
+        if self.kind == "friction":
+            axles = (("front_friction", self.front), ("rear_friction", self.rear))
+            return tuple(column for column, factor in axles if factor is not None)
+        others = {"bank": "bank_rad", "steering-kick": "steering_kick_nm", PUSH: PUSH}
+        return (others[self.kind],)
 
     @property
     def ramp(self) -> float:

@@ -34,6 +34,7 @@ from can_rig.scenario.plant_settings import (
     NUMBERS,
     OWN,
     POLYNOMIAL,
+    PUSHED_BY,
     SIGNALS,
     STATE_SPACE,
     TRANSFER_FUNCTIONS,
@@ -548,7 +549,7 @@ def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, A
     model's limits. An actuator's lag in ``model`` replaces every other lag of the plant's actuator;
     likewise for the form of a transfer function.
     """
-    inherited = {k: v for k, v in plant.items() if k not in (*OWN, *SIGNALS)}
+    inherited = {k: v for k, v in plant.items() if k not in (*OWN, *SIGNALS, *PUSHED_BY.values())}
     if ":" in str(plant.get("kind")):
         inherited["kind"] = linear_kind(plant)
     if model.get("kind", inherited.get("kind")) != inherited.get("kind"):

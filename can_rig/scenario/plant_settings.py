@@ -97,13 +97,16 @@ class ForceDifferenceActuator(ActuatorLag):
 class SensorSettings:
     """The sensor of D*: a dead time, a filter, noise and a resolution, in this order.
 
-    The filter colours the noise; the rms describes the coloured noise.
+    The filter colours the noise; the rms describes the coloured noise. A car without this sensor
+    (``is_made``) has a yaw rate and a lateral acceleration, of which the controller makes D*:
+    corner and dead time are those of both, and the noise serves ``tune`` alone.
     """
 
     noise_mps2: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
     resolution_mps2: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
     corner_hz: Annotated[float, Field(ge=1e-3, le=1e5)] | None = None
     dead_time_s: DeadTime = 0.0
+    is_made: bool = False
 
     @property
     def lag_s(self) -> float:
@@ -277,12 +280,14 @@ class BuiltIn:
 
 def _by_transfer_functions(settings: PlantSettings) -> plants.Plant:
     g1, g2 = settings.g1.factored, settings.g2.factored
-    return plants.Plant.from_transfer_functions(settings.kind, g1, g2)
+    gw = settings.gw.factored if settings.gw else None
+    return plants.Plant.from_transfer_functions(settings.kind, g1, g2, gw)
 
 
 def _by_state_space(settings: PlantSettings) -> plants.Plant:
     a, b, c = settings.a or (), settings.b or (), settings.c or ()
-    return plants.Plant.from_state_space(settings.kind, a, b, [c])
+    world = None if settings.e is None else plants.push(settings.e)
+    return plants.Plant.from_state_space(settings.kind, a, b, [c], world)
 
 
 CAR: Final = "steer-by-wire"
@@ -304,6 +309,8 @@ BUILT_IN: Final = {
 BY_NUMBERS: Final = (TRANSFER_FUNCTIONS, STATE_SPACE)
 NUMBERS: Final = tuple(key for kind in BUILT_IN.values() for key in kind.keys)
 """Keys of a plant by numbers."""
+PUSHED_BY: Final = {TRANSFER_FUNCTIONS: "gw", STATE_SPACE: "e"}
+"""The key by which the world pushes a plant by numbers."""
 OWN: Final = ("parameters", "variables", "fmi_type")
 """Keys of a plant of one's own that its model lacks."""
 SIGNALS: Final = ("input_1", "input_2", "output")
@@ -315,13 +322,14 @@ class PlantSettings(VehicleParameters):
     """The simulated plant; a plant by numbers must leave the car's parameters unset.
 
     ``kind`` is built in or a plant of one's own: ``package.module:Class`` (``plant.protocol``) or
-    ``fmu:FILE.fmu`` (``plant.fmu``). ``a`` (n, n), ``b`` (n, 2) and ``c`` (n,) belong to
-    ``state-space``, ``g1`` and ``g2`` to ``transfer-functions``; input 1 is the channel that can
-    fail. For a plant of one's own these keys give the representing linear plant; the default is the
-    car. ``friction`` μ limits a tire's force, as a share of the tire's load: linear cars ignore μ,
-    a nonlinear car saturates. The bounds admit any vehicle on wheels. ``parameters`` belong to a
-    plant of one's own: numbers, text, true or false. ``variables`` of an FMU: its inputs and output
-    by role, and further recorded variables by column name.
+    ``fmu:FILE.fmu`` (``plant.fmu``). ``a`` (n, n), ``b`` (n, 2) and ``c`` (n,) belong to ``state-
+    space``, ``g1`` and ``g2`` to ``transfer-functions``; input 1 is the channel that can fail.
+    ``e`` (n,) or ``gw`` say how the world pushes such a plant: ẋ = A x + B u + E w, y = G1 u1 + G2
+    u2 + Gw w. For a plant of one's own these keys give the representing linear plant; the default
+    is the car. ``friction`` μ limits a tire's force, as a share of the tire's load: linear cars
+    ignore μ, a nonlinear car saturates. The bounds admit any vehicle on wheels. ``parameters``
+    belong to a plant of one's own: numbers, text, true or false. ``variables`` of an FMU: its
+    inputs and output by role, and further recorded variables by column name.
     """
 
     mass_kg: Annotated[float, Field(ge=10.0, le=1e6)] = TABLE_3_2.mass_kg
@@ -353,6 +361,8 @@ class PlantSettings(VehicleParameters):
     a: tuple[Row, ...] | None = None
     b: tuple[Row, ...] | None = None
     c: Row | None = None
+    gw: TransferFunction = dataclasses.field(default_factory=TransferFunction)
+    e: Row | None = None
     input_1: SignalSettings = dataclasses.field(default_factory=SignalSettings)
     input_2: SignalSettings = dataclasses.field(default_factory=SignalSettings)
     output: SignalSettings = dataclasses.field(default_factory=SignalSettings)
@@ -378,7 +388,7 @@ class PlantSettings(VehicleParameters):
                 "package.module:Class"
             )
         self._refuse_other_keys()
-        _refuse_shapes(self.a or (), self.b or (), self.c or ())
+        _refuse_shapes(self.a or (), self.b or (), {"c": self.c or (), "e": self.e or ()})
         self._refuse_other_parameters()
 
     def _refuse_other_parameters(self) -> None:
@@ -414,6 +424,11 @@ class PlantSettings(VehicleParameters):
             if key in own and not given:
                 raise ValueError(
                     f"{key}: must be set for kind = {self.kind!r}, which has {', '.join(own)}"
+                )
+        for kind, key in PUSHED_BY.items():
+            if getattr(self, key) and self.kind != kind:
+                raise ValueError(
+                    f"{key}: must not be set for kind = {self.kind!r}; kind = {kind!r} has it"
                 )
         for field in dataclasses.fields(VehicleParameters) if self.kind in BY_NUMBERS else ():
             value = getattr(self, field.name)
@@ -520,16 +535,19 @@ def checked_parameters(parameters: Mapping[str, Any]) -> Iterator[tuple[str, Any
         yield key, value
 
 
-def _refuse_shapes(a: tuple[Row, ...], b: tuple[Row, ...], c: Row) -> None:
+def _refuse_shapes(a: tuple[Row, ...], b: tuple[Row, ...], vectors: Mapping[str, Row]) -> None:
     """Refuse matrices other than (n, n), (n, 2) and (n,), and numbers beyond the floats."""
     n = len(a)
     if b and len(b) != n:
         raise ValueError(f"b: has {len(b)} rows: must have {n}, as many as a")
-    if c and len(c) != n:
-        raise ValueError(f"c: has length {len(c)}: must have {n}, as many as a has rows")
+    for key, vector in vectors.items():
+        if vector and len(vector) != n:
+            raise ValueError(
+                f"{key}: has length {len(vector)}: must have {n}, as many as a has rows"
+            )
+        refuse_large(key, vector)
     for key, matrix, width in (("a", a, n), ("b", b, INPUTS)):
         for at, row in enumerate(matrix):
             if len(row) != width:
                 raise ValueError(f"{key}[{at}]: has length {len(row)}: must have {width}")
             refuse_large(f"{key}[{at}]", row)
-    refuse_large("c", c)

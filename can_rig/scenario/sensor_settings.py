@@ -86,7 +86,9 @@ class FurtherSensor:
     The quantity passes a filter of first order (``corner_hz``, 0: none), gets noise and the
     resolution, both in the unit of the column, and waits ``delay_s`` for its frame. Unset figures
     are those of ``USUAL``. A frame is sent every ``period_s`` from ``phase_s`` on. ``signal`` names
-    the quantity in the report of a plant class or an FMU.
+    the quantity in the report of a plant class or an FMU. The first three words of ``MEASURED``
+    are outputs 2 to 4 of a plant by numbers, each with the row ``c`` (n,) of its states; such a
+    sensor is perfect by default.
     """
 
     measures: Measured
@@ -97,6 +99,7 @@ class FurtherSensor:
     resolution: Annotated[float, Field(ge=0.0, le=1e6)] | None = None
     corner_hz: Annotated[float, Field(ge=0.0, le=1e5)] | None = None
     signal: str = ""
+    c: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.corner_hz is not None and 0.0 < self.corner_hz < 1e-3:
@@ -112,7 +115,8 @@ class FurtherSensor:
     @property
     def usual(self) -> Usual:
         """What is measured."""
-        return USUAL[self.measures]
+        usual = USUAL[self.measures]
+        return usual if self.c is None else Usual(usual.column, usual.signal, 0.0, 0.0, None)
 
     @property
     def noise_rms(self) -> float:

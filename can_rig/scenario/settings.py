@@ -17,11 +17,12 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from pydantic.dataclasses import dataclass
 
 from can_rig.scenario.controller_settings import ControllerSettings
-from can_rig.scenario.disturbance_settings import DisturbanceSettings
+from can_rig.scenario.disturbance_settings import NEEDED, PUSH, DisturbanceSettings
 from can_rig.scenario.fault_settings import (
     CHANNELS,
     MAX_DURATION_S,
     PLACES,
+    SENSOR,
     FaultSettings,
     Moment,
     Outage,
@@ -30,11 +31,13 @@ from can_rig.scenario.fault_settings import (
 from can_rig.scenario.log_signals import OF_A_CAR, OF_SENSORS, Role
 from can_rig.scenario.plant_settings import (
     BUILT_IN,
-    BY_NUMBERS,
     CAR,
     NUMBERS,
+    PUSHED_BY,
     SIGNALS,
+    STATE_SPACE,
     STRICT,
+    TRANSFER_FUNCTIONS,
     PlantSettings,
     SignalSettings,
 )
@@ -412,14 +415,15 @@ class Scenario:
         for key in SIGNALS:
             if getattr(self.model, key) != SignalSettings():
                 raise ValueError(f"model.{key}: must be plant.{key}; a signal has one name")
+        for key in PUSHED_BY.values():
+            if getattr(self.model, key):
+                raise ValueError(f"model.{key}: must be plant.{key}; the controller knows no push")
         _refuse_speeds(self)
         self.controller.refuse_other_tick(self.tick_s)
-        if self.disturbances and self.plant.kind in BY_NUMBERS:
-            raise ValueError(
-                f"disturbance: plant.kind = {self.plant.kind!r}: must be {CAR} or a class; a plant "
-                "by numbers has no side, no road and no column"
-            )
+        _refuse_disturbances(self)
         _refuse_sensors(self)
+        if self.plant.sensor.is_made or self.model.sensor.is_made:
+            _refuse_made(self)
         _refuse_limits_of_the_model(self.model)
         _refuse_long_dead_times("plant", self.plant, self.tick_s)
         _refuse_long_dead_times("model", self.model, self.tick_s)
@@ -483,9 +487,10 @@ class Scenario:
     def heard(self) -> tuple[Measured, ...]:
         """What the rig's own law hears beside reference and D*, in the order of ``HEARD``.
 
-        Yaw rate and lateral acceleration count only together.
+        Yaw rate and lateral acceleration count only together, and only of a car.
         """
         found = {each.measures for each in self.sensor}
+        found -= set() if self.plant.is_car else set(MEASURED) - set(ECHOES)
         witness = {YAW_RATE, LATERAL_ACCELERATION}
         return tuple(
             each for each in HEARD if each in found and (each in ECHOES or witness <= found)
@@ -597,6 +602,24 @@ def _refuse_speeds(scenario: Scenario) -> None:
             raise ValueError(f"design.speeds_mps: {after:g} after {before:g}: must increase")
 
 
+def _refuse_disturbances(scenario: Scenario) -> None:
+    """Refuse what pushes another plant: a car has sides and a road, any other plant ``PUSH``."""
+    plant = scenario.plant
+    for each in scenario.disturbances:
+        if (each.kind == PUSH) == plant.is_car:
+            of_cars = ", ".join(kind for kind in NEEDED if kind != PUSH)
+            right = of_cars if plant.is_car else PUSH
+            raise ValueError(
+                f"disturbance.kind = {each.kind!r}: must be {right} for plant.kind = {plant.kind!r}"
+            )
+        key = PUSHED_BY.get(plant.kind)
+        if key and not getattr(plant, key):
+            raise ValueError(
+                f"plant.{key}: must be set for a disturbance of plant.kind = {plant.kind!r}: how "
+                "the world pushes"
+            )
+
+
 def _refuse_sensors(scenario: Scenario) -> None:
     """Refuse two sensors of one quantity, times between ticks, and quantities of another plant.
 
@@ -625,10 +648,19 @@ def _refuse_sensors(scenario: Scenario) -> None:
                 "sensor already"
             )
         seen.add(sensor.measures)
-        if scenario.plant.kind in BY_NUMBERS and sensor.measures not in ECHOES:
+        is_output = scenario.plant.kind == STATE_SPACE and sensor.measures not in ECHOES
+        if scenario.plant.kind == TRANSFER_FUNCTIONS and sensor.measures not in ECHOES:
             raise ValueError(
                 f"{where}.measures = {sensor.measures!r}: must be {' or '.join(ECHOES)}; a plant "
-                "by numbers has no yaw and no steering"
+                f"with further outputs needs plant.kind = {STATE_SPACE!r}"
+            )
+        states = len(scenario.plant.a or ())
+        if is_output and len(sensor.c or ()) != states:
+            raise ValueError(f"{where}.c: must have {states} numbers, as many as plant.a has rows")
+        if sensor.c is not None and not is_output:
+            raise ValueError(
+                f"{where}.c: must be left out; only a further output of plant.kind = "
+                f"{STATE_SPACE!r} has it"
             )
         if sensor.signal and not scenario.plant.is_own:
             raise ValueError(
@@ -639,6 +671,53 @@ def _refuse_sensors(scenario: Scenario) -> None:
             sensor.refuse_times(scenario.tick_s)
         except ValueError as error:
             raise ValueError(f"{where}.{error}") from None
+
+
+def made_noise(
+    car: PlantSettings, turning: FurtherSensor, lateral: FurtherSensor
+) -> tuple[float, float]:
+    """Rms of the noise, and the step, of d a + (1 - d) V γ (3.8), m/s²."""
+    factors = (1.0 - car.lateral_weight) * car.speed_mps, car.lateral_weight
+    return (
+        math.hypot(factors[0] * turning.noise_rms, factors[1] * lateral.noise_rms),
+        math.hypot(factors[0] * turning.step, factors[1] * lateral.step),
+    )
+
+
+def _refuse_made(scenario: Scenario) -> None:
+    """Refuse what a D* made of two sensors cannot be, and a ``plant.sensor`` of other numbers."""
+    key, found = "plant.sensor.is_made", {each.measures: each for each in scenario.sensor}
+    pair = [found.get(each) for each in (YAW_RATE, LATERAL_ACCELERATION)]
+    turning, lateral = pair
+    if scenario.model.sensor.is_made != scenario.plant.sensor.is_made:
+        raise ValueError("model.sensor.is_made: must be left to plant.sensor.is_made")
+    if not scenario.plant.is_car or turning is None or lateral is None:
+        raise ValueError(
+            f"{key}: must be false without the sensors {YAW_RATE!r} and {LATERAL_ACCELERATION!r} "
+            "of a car"
+        )
+    if scenario.controller.is_ours and scenario.design.supervision == "none":
+        raise ValueError(f"{key}: must be false for design.supervision = 'none'")
+    timing = turning.timing(scenario.tick_s)
+    if timing[:2] != (1, 0) or timing != lateral.timing(scenario.tick_s):
+        raise ValueError(
+            f"{key}: must be false, or both sensors have period_s = {scenario.tick_s:g}, a tick, "
+            "and the same delay_s"
+        )
+    if turning.lag_s != lateral.lag_s:
+        raise ValueError(f"{key}: must be false, or both sensors have the same corner_hz")
+    if any(fault.place == SENSOR for fault in scenario.faults):
+        raise ValueError(f"fault: must be of {YAW_RATE!r} or {LATERAL_ACCELERATION!r}: {key}")
+    corner_hz = 1.0 / (2.0 * math.pi * lateral.lag_s) if lateral.lag_s else None
+    own = scenario.plant.sensor
+    for name, given, right in (
+        ("corner_hz", own.corner_hz, corner_hz),
+        ("dead_time_s", own.dead_time_s, lateral.delay_s),
+    ):
+        if abs((given or 0.0) - (right or 0.0)) > 1e-3 * (right or 0.0):
+            raise ValueError(
+                f"plant.sensor.{name}: must be {right or 0:.4g}, as both sensors make D*"
+            )
 
 
 def _refuse_limits_of_the_model(model: PlantSettings) -> None:

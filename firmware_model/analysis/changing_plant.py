@@ -36,12 +36,15 @@ from firmware_model.analysis.sampled_plant import split_ticks
 from firmware_model.analysis.witnesses import Reading, behind_filters
 from firmware_model.compiled import firmware
 from firmware_model.design.actuator_dynamics import Stage, behind_stages
+from firmware_model.design.plants import Plant
 from firmware_model.design.vehicle import (
     LOW_SPEED_MPS,
     SPECIFIC_FORCE,
     WORLD,
+    StateSpace,
     Variant,
     VehicleParameters,
+    WorldInputs,
     regular_speed,
     single_track,
 )
@@ -162,16 +165,9 @@ def changing_plant(
     def at(
         speed: float, friction: tuple[float, float] = (1.0, 1.0), share: float = 1.0
     ) -> tuple[FloatArray, ...]:
-        """A, B, the rows, E, their direct effects and what acts, as if V_r were ``speed``."""
+        """``_matrices`` as if V_r were ``speed``."""
         state_space, world = single_track(car, variant, friction, (speed, share))
-        (a, b, c, sensed), behind = behind_stages(state_space, world, stages)
-        assert behind is not None
-        force = slice(SPECIFIC_FORCE, SPECIFIC_FORCE + 1)
-        rows = np.concatenate([c, sensed, behind.rows[force]])
-        (a, b, e), further = behind_filters(a, b, behind, stages, readings)
-        rows = np.hstack([rows, np.zeros((BEHIND_A, len(a) - rows.shape[1]))])
-        direct = [behind.read, behind.f, behind.direct[force], further.direct]
-        return a, b, np.concatenate([rows, further.rows]), e, np.concatenate(direct), further.acting
+        return _matrices(state_space, world, stages, readings)
 
     speeds = [part * max(fastest_mps, LOW_SPEED_MPS) for part in FITTED_AT]
     dry = [at(speed) for speed in speeds]
@@ -191,26 +187,89 @@ def changing_plant(
         difference = [np.concatenate([new[0] - old[0], new[2] - old[2]]) for old, new in both]
         road[kind] = _multiples(speeds, difference)
     road[3] -= road[0] + road[2]
+    rows = [_multiples(speeds, [each[2][row] for each in dry]) for row in range(len(dry[0][2]))]
+    return _with_times(
+        np.concatenate(
+            [_multiples(speeds, [each[0] for each in dry]), np.stack(rows, axis=1)], axis=1
+        ),
+        road,
+        _multiples(speeds, [np.concatenate([each[3], each[4]]) for each in dry]),
+        (dry[0][1], dry[0][5]),
+        stages,
+        tick_s,
+    )
+
+
+def pushed_plant(
+    plant: Plant,
+    stages: tuple[Stage, Stage, Stage],
+    tick_s: float,
+    readings: Sequence[Reading] = (),
+) -> ChangingPlant:
+    """A plant by numbers that the world pushes: the matrices are constant.
+
+    Args:
+        plant: with a ``world``, before its ``stages``.
+        stages: of both actuators and of the sensor.
+        tick_s: the tick, seconds.
+        readings: the further sensors.
+    """
+    assert plant.world is not None
+    a, b, rows, e, direct, acting = _matrices(
+        (plant.a, plant.b, plant.c), plant.world, stages, readings
+    )
+    n, powers = len(a), len(POWERS)
+    dry, along = np.zeros((powers, n + len(rows), n)), np.zeros((powers, n + len(rows), INPUTS))
+    constant = POWERS.index(0)
+    dry[constant], along[constant] = np.concatenate([a, rows]), np.concatenate([e, direct])
+    road = np.zeros((SHARES, *dry.shape))
+    return _with_times(dry, road, along, (b, acting), stages, tick_s)
+
+
+def _matrices(
+    state_space: StateSpace,
+    world: WorldInputs,
+    stages: tuple[Stage, Stage, Stage],
+    readings: Sequence[Reading],
+) -> tuple[FloatArray, ...]:
+    """A, B, the rows, E, their direct effects and what acts."""
+    (a, b, c, sensed), behind = behind_stages(state_space, world, stages)
+    assert behind is not None
+    force = slice(SPECIFIC_FORCE, SPECIFIC_FORCE + 1)
+    rows = np.concatenate([c, sensed, behind.rows[force]])
+    (a, b, e), further = behind_filters(a, b, behind, stages, readings)
+    rows = np.hstack([rows, np.zeros((BEHIND_A, len(a) - rows.shape[1]))])
+    direct = [behind.read, behind.f, behind.direct[force], further.direct]
+    return a, b, np.concatenate([rows, further.rows]), e, np.concatenate(direct), further.acting
+
+
+def _with_times(
+    dry: FloatArray,
+    road: FloatArray,
+    e: FloatArray,
+    of_inputs: tuple[FloatArray, FloatArray],
+    stages: tuple[Stage, Stage, Stage],
+    tick_s: float,
+) -> ChangingPlant:
+    """The plant of these multiples, cut where an input or the reading changes."""
     (whole_1, part_1), (whole_2, part_2), (whole, part) = (
         split_ticks(stage.dead_time_s / tick_s) for stage in stages
     )
     cuts = np.array(sorted({0.0, part_1, part_2, 1.0 - part, 1.0}))
     new = cuts[:-1, None] >= np.array([part_1, part_2])
-    rows = [_multiples(speeds, [each[2][row] for each in dry]) for row in range(len(dry[0][2]))]
     return ChangingPlant(
-        dry=np.concatenate([_multiples(speeds, [each[0] for each in dry]),
-                            np.stack(rows, axis=1)], axis=1),
+        dry=dry,
         road=road,
-        b=np.ascontiguousarray(dry[0][1]),
-        e=_multiples(speeds, [np.concatenate([each[3], each[4]]) for each in dry]),
-        acting=dry[0][5],
+        b=np.ascontiguousarray(of_inputs[0]),
+        e=e,
+        acting=of_inputs[1],
         tick_s=tick_s,
         dead_ticks=(whole_1, whole_2),
         sensor_dead_ticks=whole,
         cuts=cuts,
         new=new.astype(np.float64),
         read_at=int(np.flatnonzero(cuts == 1.0 - part)[0]) - 1,
-    )  # fmt: skip
+    )
 
 
 def _multiples(speeds: Sequence[float], matrices: Sequence[FloatArray]) -> FloatArray:

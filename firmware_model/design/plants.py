@@ -29,6 +29,8 @@ from firmware_model.design.factors import (
 )
 from firmware_model.design.vehicle import (
     TABLE_3_2,
+    WITNESSES,
+    WORLD,
     Variant,
     VehicleParameters,
     WorldInputs,
@@ -121,13 +123,18 @@ class Plant:
         return cls(name, a, b, c, g1, g2, world=world)
 
     @classmethod
-    def from_transfer_functions(cls, name: str, g1: ZeroPoleGain, g2: ZeroPoleGain) -> Self:
+    def from_transfer_functions(
+        cls, name: str, g1: ZeroPoleGain, g2: ZeroPoleGain, gw: ZeroPoleGain | None = None
+    ) -> Self:
         """The plant of two strictly proper channels that share only the unstable modes.
+
+        ``gw`` is the strictly proper transfer function from the world's push to the output.
 
         The partial fractions n_i/Π(s - p) + S_i separate the unstable modes, so both inputs drive
         the same modes: otherwise channel 2 could not hold the modes of a lost channel 1.
 
-        Raises the errors of ``Plant``, and ``ParameterError`` for a channel with feedthrough.
+        Raises the errors of ``Plant``, and ``ParameterError`` for a channel with feedthrough and
+        for a push that drives unstable modes of its own.
         """
         _refuse_zero(name, g1, g2)
         largest = max(map(abs, (*g1.poles, *g2.poles)), default=0.0)
@@ -143,8 +150,32 @@ class Plant:
         b = np.zeros((k1 + len(a2), 2))
         b[:k, 0], b[k:k1, 0] = first.residues, b1
         b[:k, 1], b[k1:, 1] = second.residues, b2
-        a = linalg.block_diag(companion(poles), a1, a2)
-        return cls(name, a, b, np.concatenate([np.eye(1, k)[0], c1, c2])[np.newaxis], g1, g2)
+        a, c = (
+            linalg.block_diag(companion(poles), a1, a2),
+            np.concatenate([np.eye(1, k)[0], c1, c2]),
+        )
+        if gw is None:
+            return cls(name, a, b, c[np.newaxis], g1, g2)
+        gw = with_poles_of(gw, poles)
+        if Counter(unstable(gw)) not in (Counter(), Counter(poles)):
+            raise ParameterError(
+                f"{name}: unstable poles of Gw: {_listed(unstable(gw))}: must be none, or those of "
+                f"G1 and G2, {_listed(poles)}; zeros cancel what the push does not reach"
+            )
+        third = in_parts(gw, "Gw")
+        a3, b3, c3, _ = realised(third.stable)
+        column = np.concatenate([np.zeros(len(a)), b3])
+        column[: len(third.residues)] = third.residues
+        a, b = linalg.block_diag(a, a3), np.concatenate([b, np.zeros((len(a3), 2))])
+        return cls(name, a, b, np.concatenate([c, c3])[np.newaxis], g1, g2, world=push(column))
+
+
+def push(column: ArrayLike) -> WorldInputs:
+    """The world of a plant by numbers: one input, through E = ``column`` (n,)."""
+    n, r, m = len(np.asarray(column)), len(WITNESSES), len(WORLD)
+    e, none = np.zeros((n, m)), np.zeros((1, m))
+    e[:, 0] = column
+    return WorldInputs(e, none, none, np.zeros((r, n)), np.zeros((r, m)))
 
 
 def steer_by_wire(parameters: VehicleParameters = TABLE_3_2, variant: Variant = "physics") -> Plant:

@@ -78,6 +78,7 @@ def fill_witness(witness: WitnessConstants, of: Witness, target: Target) -> None
     noise = math.hypot(of.noise_rms, target.noise_rms, target.resolution)
     witness.noise = (APART * noise) ** 2
     witness.doubt = of.doubt**2
+    witness.makes = of.makes
 
 
 def fill_echoes(

@@ -37,6 +37,7 @@ class Witness:
         lag_s: of both sensors.
         noise_rms: rms of the noise in D* made of both, resolutions included.
         doubt: share by which V may be off; 0: the speed is measured.
+        makes: there is no sensor of D*, and the law measures what both sensors make.
     """
 
     lateral_weight: float
@@ -44,6 +45,7 @@ class Witness:
     lag_s: float = 0.0
     noise_rms: float = 0.0
     doubt: float = 0.0
+    makes: bool = False
 
 
 @dataclass(frozen=True)

@@ -127,6 +127,7 @@ from firmware_model.law.supervision.witness import (
     refutes,
     said,
     settle_witness,
+    use_samples,
     weigh_witness,
 )
 
@@ -172,9 +173,12 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
     frozen = state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement
     measured = math.isfinite(y) and not frozen
     begins = table.prediction.enabled == 1 and state.takeover.pending != BEGUN
-    if begins and not measured and has_news(state.witness):
+    makes = table.witness.makes == 1
+    if (begins or makes) and not measured and has_news(state.witness):
         y = said(table.witness, state.witness)
         measured = math.isfinite(y)
+    if makes:
+        use_samples(state.witness)
     seen = (measured and state.witness.denied == 0) or state.witness.left > 0
     predicts = table.prediction.enabled == 1 and state.takeover.pending == BEGUN
     if table.supervised == 0:
@@ -249,7 +253,7 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     held_1, held_2, tick = state.command_1, state.command_2, state.tick
     begin_tick(table, state)
     model = tick.model_1 + tick.model_2
-    if table.witness.longest > 0:
+    if table.witness.longest > 0 and table.witness.makes == 0:
         witness(table, state, y, model)
         measured = measured and state.witness.denied == 0
     y = measurement_or_prediction(table, state, y, measured, model)

@@ -1,4 +1,4 @@
-"""Injecting and clearing faults during a run."""
+"""Injecting and clearing faults and disturbances during a run."""
 
 from __future__ import annotations
 
@@ -7,16 +7,20 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from can_rig.errors import RigError
+from can_rig.errors import RigError, ScenarioError
 from can_rig.frames.operator_frames import (
     ALL,
     LONGEST_S,
+    OF_FAULTS,
     SHORTEST_S,
+    WORLD,
     Command,
     kinds,
     places,
     value_limits,
 )
+from can_rig.plant.protocol import require_world
+from can_rig.scenario.disturbance_settings import NEEDED, DisturbanceSettings
 from can_rig.scenario.fault_settings import (
     CHANNELS,
     MAX_LATE_TICKS,
@@ -32,15 +36,29 @@ from can_rig.scenario.sensor_settings import ECHOES, MEASURED
 from can_rig.scenario.settings import Scenario
 
 FAULT_ACTIONS: Final = ("INJECT", "CLEAR")
-"""The actions of a fault command."""
+"""The actions of a command to inject or to clear."""
+
+BESIDE: Final = {"gust": {"arm_m": 0.3}, "turbulence": {"arm_m": 0.3, "length_m": 50.0}}
+"""The other sizes of an injected disturbance, which has one number only."""
 
 
-def injected(command: Command, tick: int, tick_ns: int) -> FaultSettings | None:
-    """The fault of ``command``, from ``tick`` on; None: an unknown or impossible fault."""
+def injected(
+    command: Command, tick: int, tick_ns: int
+) -> FaultSettings | DisturbanceSettings | None:
+    """What ``command`` injects, from ``tick`` on; None: something unknown or impossible."""
     try:
-        return _fault(command, tick * tick_ns / 1e9)
+        return _made(command, tick * tick_ns / 1e9)
     except ValidationError:
         return None
+
+
+def _made(command: Command, at_s: float) -> FaultSettings | DisturbanceSettings:
+    """What ``command`` injects.
+
+    Raises:
+        ValidationError: see ``_fault``; a disturbance of no size, or of a size out of bounds.
+    """
+    return (_disturbance if command.place == WORLD else _fault)(command, at_s)
 
 
 def require_possible(command: Command) -> None:
@@ -62,11 +80,19 @@ def require_possible(command: Command) -> None:
     if command.action == "PACE" and (value is None or value < 0):
         raise RigError(f"pace {value:g}: must be above 0, or 0 for as fast as it can")
     if command.action == "INJECT":
-        _require_fault(command)
+        _require_injectable(command)
 
 
-def _require_fault(command: Command) -> None:
+def _require_injectable(command: Command) -> None:
     kind = str(command.kind)
+    if command.place == WORLD:
+        if command.value is None:
+            raise RigError(f"{kind}: must have a value, its {sizes_of(kind)[0]}")
+        try:
+            _disturbance(command, 0.0)
+        except ValidationError as error:
+            raise RigError(f"{kind}: {refusal(error, DisturbanceSettings)}") from None
+        return
     key = key_of(kind, command.place)
     if command.value is not None and not key:
         raise RigError(f"{kind}: has no value; it must be left out")
@@ -81,11 +107,30 @@ def _require_fault(command: Command) -> None:
 
 
 def kinds_of(place: str) -> tuple[str, ...]:
-    """The kinds of fault that ``place`` can have."""
+    """The kinds of fault that ``place`` can have; of ``WORLD`` the kinds of disturbances."""
+    faults = tuple(each for each in kinds() if each.startswith(OF_FAULTS))
+    if place == WORLD:
+        return tuple(each for each in kinds() if each not in faults)
     if place in CHANNELS:
-        return tuple(each for each in kinds() if not each.startswith("sensor-"))
+        return tuple(each for each in faults if not each.startswith("sensor-"))
     never = () if place in ECHOES else OF_ECHOES if place in MEASURED else OF_FURTHER_SENSORS
-    return tuple(each for each in kinds() if not each.startswith("actuator-") and each not in never)
+    return tuple(each for each in faults if not each.startswith("actuator-") and each not in never)
+
+
+def sizes_of(kind: str) -> tuple[str, ...]:
+    """The keys of a disturbance that take the one number of a command."""
+    return tuple(key for key in NEEDED[kind] if key not in BESIDE.get(kind, {}))
+
+
+def _disturbance(command: Command, at_s: float) -> DisturbanceSettings:
+    """The disturbance that ``command`` requests.
+
+    Raises:
+        ValidationError: no size, or a size out of bounds.
+    """
+    kind = command.kind or ""
+    sizes = dict.fromkeys(sizes_of(kind), command.value) | BESIDE.get(kind, {})
+    return DisturbanceSettings(kind, at_s, command.duration_s, **sizes)  # type: ignore[arg-type]
 
 
 def _fault(command: Command, at_s: float) -> FaultSettings:
@@ -109,11 +154,11 @@ def _fault(command: Command, at_s: float) -> FaultSettings:
 
 
 class Injection:
-    """A scenario whose faults commands add or end during the run."""
+    """A scenario whose faults and disturbances commands add or end during the run."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        """With all faults so far; no change touches the past ticks."""
+        """With everything so far; no change touches the past ticks."""
 
     def obey(self, command: Command, tick: int) -> bool:
         """Carry out one of ``FAULT_ACTIONS`` from ``tick`` on; return whether that succeeded."""
@@ -123,10 +168,12 @@ class Injection:
         return True
 
     def inject(self, command: Command, tick: int) -> bool:
-        """Add a fault from ``tick`` on; return False for an invalid fault or too many faults."""
+        """Add what ``command`` injects from ``tick`` on; return whether that is possible."""
         fault = injected(command, tick, self.scenario.tick_ns)
         if fault is None:
             return False
+        if isinstance(fault, DisturbanceSettings):
+            return self._push(fault)
         faults = (*self.scenario.faults, fault)
         late = sum(each.late_ticks for each in faults if each.kind.endswith("-late"))
         if late > MAX_LATE_TICKS:
@@ -137,8 +184,22 @@ class Injection:
             return False
         return True
 
+    def _push(self, disturbance: DisturbanceSettings) -> bool:
+        """Add a disturbance; return False for a plant that it cannot push."""
+        try:
+            pushed = replace(self.scenario, disturbance=(*self.scenario.disturbance, disturbance))
+            require_world(pushed.plant, (disturbance,))
+        except (ScenarioError, ValidationError):
+            return False
+        self.scenario = pushed
+        return True
+
     def clear(self, place: str, tick: int) -> None:
-        """End every present and future fault at ``place`` (empty: everywhere) from ``tick`` on."""
+        """End what acts or will act at ``place`` from ``tick`` on; a disturbance then falls."""
+        if place in (ALL, WORLD):
+            now_s = tick * self.scenario.tick_ns / 1e9
+            calmed = tuple(_falling(each, now_s) for each in self.scenario.disturbance)
+            self.scenario = replace(self.scenario, disturbance=calmed)
         scenario = self.scenario
         now_ns = tick * scenario.tick_ns
         faults = []
@@ -149,3 +210,14 @@ class Injection:
             elif begin_ns < now_ns:
                 faults.append(replace(fault, for_s=(now_ns - begin_ns) / 1e9))
         self.scenario = replace(scenario, fault=tuple(faults))
+
+
+def _falling(disturbance: DisturbanceSettings, now_s: float) -> DisturbanceSettings:
+    """``disturbance``, which begins to fall now, or as soon as it has risen."""
+    if disturbance.at_s >= now_s:
+        return DisturbanceSettings("none")  # keeps the numbers of the others
+    ramp_s = disturbance.ramp
+    for_s = max(now_s - disturbance.at_s, ramp_s) + ramp_s
+    if disturbance.for_s is not None:
+        for_s = min(for_s, disturbance.for_s)
+    return replace(disturbance, ramp_s=ramp_s, for_s=for_s or None)

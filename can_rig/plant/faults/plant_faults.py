@@ -5,6 +5,7 @@ Overlapping faults act in the scenario's order. ``frame_faults`` has the faults 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
@@ -116,6 +117,7 @@ class PlantFaults:
             f for f in scenario.faults if f.place in self._sensors and not f.acts_on_frames
         ]
         self._dead = [f for f in scenario.faults if f.kind == "actuator-dead"]
+        self._is_made = scenario.plant.sensor.is_made
         self._in_bias = [f for f in scenario.faults if f.kind in ADDING and f.place == SENSOR]
         self._in_rows = [
             f
@@ -141,8 +143,8 @@ class PlantFaults:
         return left
 
     def bias(self, ticks: range) -> FloatArray:
-        """(ticks,), the addition to D*, m/s²."""
-        bias = np.zeros(len(ticks))
+        """(ticks,), the addition to D*, m/s²; nan in a car without a sensor of D*."""
+        bias = np.full(len(ticks), math.nan if self._is_made else 0.0)
         for fault in self._in_bias:
             bias[self._at(fault, ticks)] += ADDING[fault.kind](fault, self._since_s(fault, ticks))
         return bias

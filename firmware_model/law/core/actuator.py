@@ -56,7 +56,7 @@ def quantise(actuator: Constants, state: State, command: float) -> float:
     if not actuator.lsb > 0.0:
         return command
     wanted = saturate(actuator, command + state.rounded_off)
-    rounded: float = np.rint(wanted / actuator.lsb) * actuator.lsb
+    rounded: float = saturate(actuator, np.rint(wanted / actuator.lsb) * actuator.lsb)
     left = wanted - rounded
     state.rounded_off = left if math.isfinite(left) else real(0.0, left)
     return rounded

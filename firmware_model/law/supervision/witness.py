@@ -20,6 +20,8 @@ near z, and the loss is *refuted*.
 
 ``working`` samples in agreement, of a moving car, end the denial of a sensor; so does a witness
 that is found wrong. A witness that stays away for long gives no information.
+
+In a car without a sensor of D* (``makes``), z is the measurement, and nothing judges z.
 """
 
 from __future__ import annotations
@@ -53,6 +55,7 @@ class Constants(Struct):
     doubt: Annotated[float, "1", "square of the share by which V may be off; 0: V is measured"]
     nearer: Annotated[float, "1", "least ratio of the fading sums to tell who is wrong"]
     working: Annotated[int, "1", "samples in agreement that end a denial", (0, MAX_COUNTED)]
+    makes: Annotated[int, "1", "1: D* is made of both, for there is no sensor of D*", (0, 1)]
 
 
 class Sample(Struct):
@@ -114,7 +117,7 @@ def weigh_witness(table: Table, own: State, y: float, expected: float, healthy: 
     own.healthy[own.index] = healthy
     if not has_news(own):
         return
-    own.yaw_rate.fresh = own.acceleration.fresh = 0
+    use_samples(own)
     constants, one, witness = table.witness, real(1.0, expected), said(table.witness, own)
     turning, sliding = constants.speed * own.yaw_rate.value, own.acceleration.value
     weight, oldest = constants.lateral_weight, max(own.yaw_rate.age, own.acceleration.age)
@@ -134,6 +137,12 @@ def weigh_witness(table: Table, own: State, y: float, expected: float, healthy: 
 def has_news(own: State) -> bool:
     """Whether both sensors have said something since the last comparison."""
     return own.yaw_rate.fresh == 1 and own.acceleration.fresh == 1
+
+
+@firmware
+def use_samples(own: State) -> None:
+    """The last samples are no news from now on."""
+    own.yaw_rate.fresh = own.acceleration.fresh = 0
 
 
 @firmware

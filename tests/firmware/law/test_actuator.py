@@ -81,6 +81,16 @@ def test_what_is_left_takes_no_command_beyond_its_limit(
         assert abs(state.rounded_off) <= lsb / 2
 
 
+def test_a_product_in_single_precision_is_not_beyond_the_limit() -> None:
+    """400 000 steps of 0.001 are 400.00003 there."""
+    motor = zeroed(Constants, "float32")[0]
+    motor.limit, motor.slew, motor.lsb = 400.0, math.inf, 1e-3
+    for command in (400.0, -400.0):
+        state = zeroed(State, "float32")[0]
+        assert quantise(motor, state, np.float32(command)) == command
+        assert state.rounded_off == 0.0
+
+
 @pytest.mark.parametrize("command", [math.inf, math.nan])
 def test_what_overflowed_leaves_nothing(command: float) -> None:
     motor, state = actuator(lsb=0.5), at_rest()

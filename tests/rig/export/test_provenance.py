@@ -75,6 +75,17 @@ def test_each_file_and_each_function_name_their_origin(kind: str, built: Built) 
                 r"^(?!/|#| |\}|\{|const|struct \w+ \{).*?\b(\w+)\(", text, flags=re.M
             )
             assert [re.findall(r"\w+", declared)[-1] for *_, declared in found] == defined
+        if path.name == "constants.c":
+            tables = re.findall(r"^/\* (\w+)\.py, line (\d+) \*/\nconst struct (\w+) ", text, re.M)
+            kinds = {"tables": ("layout_table", "def build(")}
+            if kind == "drive":
+                kinds["schedules"] = ("schedule_constants", "def schedule(")
+            assert {module for module, *_ in tables} == {*kinds}
+            for module, line, struct in tables:
+                assert struct == kinds[module][0]
+                lines = source.with_name(f"{module}.py").read_text("utf-8").splitlines()
+                assert lines[int(line) - 1].startswith(kinds[module][1])
+            continue
         for name, line, declared in found:
             assert name == source.name
             python = source.read_text("utf-8").splitlines()[int(line) - 1]

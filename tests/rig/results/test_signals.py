@@ -29,7 +29,7 @@ from can_rig.nodes.runner import run_in_process
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.plant_settings import SignalSettings
-from can_rig.scenario.sensor_settings import ECHOES, USUAL
+from can_rig.scenario.sensor_settings import USUAL
 from can_rig.views.signal_table import read_table
 
 SCENARIO = load(
@@ -238,6 +238,9 @@ SAID = {
     "evidence_sensor_drifting": "evidence_sensor_drifting",
     "evidence_sensor_frozen": "evidence_sensor_frozen",
     "evidence_another_car": "evidence_another_car",
+    "measured_yaw_rate_rad_per_s": "measured_output_2",
+    "measured_lateral_acceleration_mps2": "measured_output_3",
+    "measured_steering_angle_rad": "measured_output_4",
 }
 
 
@@ -271,8 +274,8 @@ def test_no_two_columns_have_one_name(words: tuple[str, str, str], unit: str) ->
     output, input_1, input_2 = (SignalSettings(word, unit) for word in words)
     plant = replace(CHAPTER_2, output=output, input_1=input_1, input_2=input_2)
     names = column_names(plant)
-    echoes = {USUAL[echo].column for echo in ECHOES}
-    assert set(names) <= {*ON_THE_BUS, TRUE_OUTPUT, *APPLIED, *EVIDENCE, *echoes}
+    sensors = {each.column for each in USUAL.values()}
+    assert set(names) <= {*ON_THE_BUS, TRUE_OUTPUT, *APPLIED, *EVIDENCE, *sensors}
     others = [column for column in TAKEN if column not in names]
     assert len({*names.values(), *others}) == len(names) + len(others)
     assert all(re.fullmatch("[0-9a-z_]+", name) for name in names.values())

@@ -36,7 +36,7 @@ def flat(values, prefix=""):
 
 ACTUATOR_LIMITS = re.compile(r"actuator\.(limit|rate)_")
 BY_NUMBERS = re.compile(
-    r"plant\.((kind|fmi_type|a|b|c)$|g1|g2|input_|output)|network|controller"
+    r"plant\.((kind|fmi_type|a|b|c|e)$|g1|g2|gw|input_|output)|network|controller"
 )  # elsewhere
 DEFAULTS = flat(Scenario("x").as_dict())
 OF_A_DRIVE = {  # tests/rig/scenario/test_drive.py

@@ -24,26 +24,29 @@ REALS = {  # name: value reference, causality, start
     "wall.at": (4, "parameter", "1e9"),
     "switch_s": (5, "parameter", "1e9"),
     "fail_s": (6, "parameter", "1e9"),
+    "w": (7, "input", "0"),
 }
 OTHERS = {  # name: value reference, type of FMI 2, type of FMI 3, causality, start
-    "bounces": (7, "Integer", "Int32", "output", None),
-    "on": (8, "Boolean", "Boolean", "parameter", "true"),
-    "name": (9, "String", "String", "parameter", "plain"),
+    "bounces": (8, "Integer", "Int32", "output", None),
+    "on": (9, "Boolean", "Boolean", "parameter", "true"),
+    "name": (10, "String", "String", "parameter", "plain"),
 }
-FIRST_STATE = 10
+FIRST_STATE = 11
 PLACES = {2: fmpy.platform, 3: fmpy.platform_tuple}
 CLASSES = {2: (fmi2.FMU2Model, fmi2.FMU2Slave), 3: (fmi3.FMU3Model, fmi3.FMU3Slave)}
 
 
-def build(path: Path, version: int, a, b, c, changes: Mapping[str, str] | None = None) -> Path:
-    """An FMU of x' = Ax + Bu, y = Cx at ``path``; ``changes`` replace text of its description."""
+def build(
+    path: Path, version: int, a, b, c, changes: Mapping[str, str] | None = None, e=None
+) -> Path:
+    """An FMU of x' = Ax + Bu + Ew, y = Cx; ``changes`` replace text of its description."""
     folder = path.parent / f"{path.stem}-{version}"
     folder.mkdir()
     library = folder / "linear.so"
     (folder / "numbers.h").write_text(
         f'#define FMI {version}\n#define N {len(a)}\n#define TOKEN "{TOKEN}"\n'
         f"static const double A[N][N] = {_braces(a)}, B[N][2] = {_braces(b)}, "
-        f"C[N] = {_braces(c)};\n"
+        f"C[N] = {_braces(c)}, E[N] = {_braces([0.0] * len(a) if e is None else e)};\n"
     )
     (folder / "rest.c").write_text(_rest(version))
     flags = ["-shared", "-fPIC", "-O2", "-w", f"-I{folder}", "-o", library]

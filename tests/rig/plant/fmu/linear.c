@@ -1,8 +1,8 @@
-/* x' = A x + g B u, y = C x as an FMU of FMI 2 or 3, co-simulation and model exchange in one.
+/* x' = A x + g B u + E w, y = C x as an FMU of FMI 2 or 3, co-simulation and model exchange in one.
 
    For what an importer has to get right it has a time event, from switch_s on g is twice the
    parameter gain; a state event, where y reaches wall from below x becomes -x/2; and it fails
-   from fail_s on. numbers.h defines FMI, N, A, B, C and TOKEN; what FMI wants beside these
+   from fail_s on. numbers.h defines FMI, N, A, B, C, E and TOKEN; what FMI wants beside these
    functions, the builder adds. */
 #include <math.h>
 #include <stdlib.h>
@@ -10,7 +10,7 @@
 #include "numbers.h"
 
 enum { OK = 0, ERROR = 3 };
-enum { INPUT_1, INPUT_2, OUTPUT, GAIN, WALL, SWITCH_S, FAIL_S, BOUNCES, ON, NAME, STATES };
+enum { INPUT_1, INPUT_2, OUTPUT, GAIN, WALL, SWITCH_S, FAIL_S, PUSH, BOUNCES, ON, NAME, STATES };
 
 #if FMI == 2
 typedef void (*Log)(void *, const char *, int, const char *, const char *, ...);
@@ -19,7 +19,7 @@ typedef void (*Log)(void *, int, const char *, const char *);
 #endif
 
 typedef struct {
-    double time, real[FAIL_S + 1], x[N];
+    double time, real[PUSH + 1], x[N];
     int bounces, on, switched;
     Log log;
 } Model;
@@ -46,6 +46,7 @@ static int rates(const Model *m, const double *x, double *dx) {
     }
     for (int i = 0; i < N; i++) {
         dx[i] = gain * (B[i][0] * m->real[INPUT_1] + B[i][1] * m->real[INPUT_2]);
+        dx[i] += E[i] * m->real[PUSH];
         for (int j = 0; j < N; j++) dx[i] += A[i][j] * x[j];
     }
     return OK;

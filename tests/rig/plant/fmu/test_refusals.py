@@ -35,7 +35,7 @@ VARIABLES = {  # variables, parameters, line
      "output = 'u1': must be an output of the FMU, not an input"),
     "no output but a parameter": ({"output": "gain"}, {}, "an output of the FMU, not a parameter$"),
     "one for both": ({"input_2": "u1"}, {}, "must be another variable than input_1; it has"),
-    "parameter": ({"input_1": "gain"}, {}, r"not a parameter; it has u1, u2$"),
+    "parameter": ({"input_1": "gain"}, {}, r"not a parameter; it has u1, u2, w$"),
     "whole": ({"output": "bounces"}, {},
      "'bounces': must be a floating-point number of the FMU, not an I"),
     "text": ({"name_": "name"}, {},

@@ -1,0 +1,134 @@
+"""A car without a sensor of D*: the controller makes D* of yaw rate and lateral acceleration."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import can
+import cantools
+import numpy as np
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.controllers.making import controller_of
+from can_rig.errors import ScenarioError
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.without_bus import run_without_bus
+from can_rig.plant.frameless import frameless
+from can_rig.results.isolation import with_verdict
+from can_rig.results.signals import read_signals
+from can_rig.scenario.build import network_of
+from can_rig.scenario.controls import controls
+from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import Firmware
+from firmware_model.law.structs import copied
+from tests.helpers import DBC
+
+MADE = (
+    "plant.sensor.is_made=true", "plant.sensor.corner_hz=50", "design.alpha=4", "design.alpha_q=5",
+)  # fmt: skip
+ALONE = ["design.supervision=none", "design.compensation=always"]
+SHORT = ("duration_s=6", "fault.at_s=3")
+YAW_RATE, ACCELERATION = 3, 4
+"""Their numbers for ``Firmware.hear``."""
+
+
+def made(*settings: str) -> Scenario:
+    return load("chassis-cluster", [*MADE, *SHORT, *settings])
+
+
+def logged(folder: Path, scenario: Scenario, controller: str) -> Path:
+    """A run's log; ``none`` is the rig's own law without a bus."""
+    log = folder / f"{controller}.log"
+    if controller == "none":
+        run_without_bus(scenario, log, StopRequest(), lambda _: None)
+    else:
+        law = controller_of(controller, scenario)
+        run_in_process(scenario, "virtual:made", log, StopRequest(), lambda _: None, law)
+    return log
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_every_loop_has_the_same_bytes(tmp_path: Path, precision: str) -> None:
+    scenario = made(f"design.precision={precision}")
+    logs = [logged(tmp_path, scenario, each) for each in ("none", "python", "c", "ecu")]
+    first, *others = (log.read_bytes() for log in logs)
+    assert all(other == first for other in others)
+    network = network_of(scenario)
+    seen = read_signals(logs[0], network, scenario.tick_s)
+    trace = frameless(scenario, network)
+    np.testing.assert_array_equal(seen.torque_nm[:-1], trace.command_1[:-1])
+    assert 2 in seen.fault_state  # CONFIRMED
+    assert np.isnan(seen.dstar_mps2).all()
+
+
+def test_what_the_pictures_show_is_what_the_frames_of_both_sensors_make(tmp_path: Path) -> None:
+    scenario, database = made(), cantools.database.load_file(DBC / "steer_by_wire.dbc")
+    log, network = logged(tmp_path, scenario, "none"), network_of(scenario)
+    shown = with_verdict(scenario, network, read_signals(log, network, scenario.tick_s)).dstar_mps2
+    said: dict[str, list[float]] = {"YAW_RATE": [], "LATERAL_ACCELERATION": []}
+    for message in can.LogReader(log):
+        frame = database.get_message_by_frame_id(message.arbitration_id)
+        if frame.name in said:
+            values = frame.decode(bytes(message.data))
+            (signal,) = (each for each in frame.signals if each.unit in {"rad/s", "m/s^2"})
+            said[frame.name].append(float(values[signal.name]))
+    turning, lateral = (np.array(said[name]) for name in said)
+    weight, speed = scenario.plant.lateral_weight, scenario.plant.speed_mps
+    np.testing.assert_allclose(shown, weight * lateral + (1 - weight) * speed * turning, atol=1e-12)
+    assert np.abs(shown).max() > 0.5
+
+
+def test_the_law_does_with_both_what_it_does_with_their_sum() -> None:
+    """Also where a sample, or the reference, is missing."""
+    of = controls(made(), network_of(made()))
+    told = copied(of.table)[0]
+    told.witness.makes = told.witness.longest = 0
+    makes, given = Firmware(of.table), Firmware(told)
+    weight, speed = of.table.witness.lateral_weight, of.table.witness.speed
+    random = np.random.default_rng(5)
+    for tick in range(3000):
+        r = math.nan if random.random() < 0.01 else math.sin(tick / 40)
+        turning, lateral = (random.normal(0.8 * math.sin(tick / 40) / s, 0.02) for s in (10.0, 1.0))
+        lost = random.random() < 0.02
+        if not lost:
+            makes.hear(YAW_RATE, turning)
+        makes.hear(ACCELERATION, lateral)
+        y = weight * lateral + (1.0 - weight) * (speed * turning)
+        commands = makes.step(r, math.nan)
+        assert commands == given.step(r, math.nan if lost else y), tick
+    assert np.abs(commands).max() > 0.0
+
+
+def test_a_wrong_sensor_is_a_wrong_output() -> None:
+    """Both sensors of one car: nothing can tell a bias of one of them from a lost actuator."""
+    fault = "fault={kind='sensor-biased', channel='yaw-rate', at_s=2, offset=0.05}"
+    scenario = made(fault)
+    trace = frameless(scenario, network_of(scenario))
+    off = (1 - scenario.plant.lateral_weight) * scenario.plant.speed_mps * 0.05
+    settled = slice(-50, None)
+    error = trace.measurement[settled].mean() - trace.reference[settled].mean()
+    assert error == pytest.approx(-off, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "said"),
+    [
+        ("chassis-can", [], "plant.sensor.is_made: must be false without the sensors 'yaw-rate'"),
+        ("chapter-2", [], "plant.sensor.is_made: must be false without the sensors 'yaw-rate' and"),
+        ("chassis-cluster", ["sensor.0.period_s=0.02"], "or both sensors have period_s = 0.01, a"),
+        ("chassis-cluster", ["sensor.1.delay_s=0.01"], "a tick, and the same delay_s"),
+        ("chassis-cluster", ["sensor.1.corner_hz=20"], "or both sensors have the same corner_hz"),
+        ("chassis-cluster", ["plant.sensor.corner_hz=20"], "sensor.corner_hz: must be 50, as"),
+        ("chassis-cluster", ["plant.sensor.dead_time_s=0.1"], "sensor.dead_time_s: must be 0"),
+        ("chassis-cluster", ALONE, "for design.supervision = 'none'"),
+        ("chassis-cluster", ["model.sensor.is_made=false"], "sensor.is_made: must be left to"),
+        ("chassis-cluster", ["fault.kind=sensor-dead"], "fault: must be of 'yaw-rate' or"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_made_is_refused(name: str, settings: list[str], said: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        load(name, [*MADE, *settings])
+    assert said in str(caught.value) and "\n" not in str(caught.value)
