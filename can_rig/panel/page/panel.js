@@ -4,6 +4,8 @@
 const WINDOW_S = 20, KEPT_S = 180;
 const $ = (id) => document.getElementById(id);
 const charts = new Charts($("charts"), $("bar"), { windowS: WINDOW_S }), scene = new Scene($("scene"));
+charts.list = element("div");
+$("bar").insertBefore(element("details", { className: "layouts" }, element("summary", { textContent: "Signals" }), charts.list), charts.time);
 const trace = new Trace($("trace"), (t) => charts.mark(t));
 
 let hello = null, mayTouch = false, lamps = {}, state = { name: "connecting", says: "", orders: [] }, rows = [], stale = false;
