@@ -38,6 +38,8 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     expect(page.locator("#fault_state")).to_have_text("no fault", timeout=PATIENCE_MS)
     expect(page.locator("#bar > output")).to_contain_text("last values")
     assert page.evaluate(HIDDEN) <= 0  # the axis of the lowest chart, below a caption that grew
+    page.select_option("#place", "world")
+    expect(page.locator("#value")).not_to_have_attribute("placeholder", "default")
     page.click("#bar summary:text-is('Signals')")
     signal = page.locator("#bar .key:has-text('fault estimate')")
     expect(signal).to_have_text(re.compile(r"\d$"))
@@ -145,6 +147,9 @@ def test_each_state_is_said_and_what_has_no_effect_is_disabled(page):
     page.keyboard.press("ArrowRight")
     expect(page.locator("#events")).to_contain_text("move reference 0.005")
     expect(page.locator("#moved")).to_have_text("+0.005 rad")
+    page.fill("#for", "0.3")
+    page.click("#inject")
+    expect(page.locator("#events")).to_contain_text("torque dead for 0.3 s")
     page.focus("#pause")
     page.keyboard.press("Enter")
     state("paused", "Go on")
