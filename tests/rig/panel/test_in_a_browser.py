@@ -36,18 +36,6 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     page.goto(touch)
     page.click("#start")
     expect(page.locator("#fault_state")).to_have_text("no fault", timeout=PATIENCE_MS)
-    expect(page.locator("#bar > output")).to_contain_text("last values")
-    assert page.evaluate(HIDDEN) <= 0  # the axis of the lowest chart, below a caption that grew
-    page.select_option("#place", "world")
-    expect(page.locator("#value")).not_to_have_attribute("placeholder", "default")
-    page.click("#bar summary:text-is('Signals')")
-    signal = page.locator("#bar .key:has-text('fault estimate')")
-    expect(signal).to_have_text(re.compile(r"\d$"))
-    signal.click()
-    expect(page.locator(".chart")).to_have_count(6)
-    page.click("[aria-label='remove the chart fault estimate'] >> nth=-1")
-    assert barriers(page) == []
-    page.click("#bar summary:text-is('Signals')")
     page.click("#trace summary")
     expect(page.locator(".frames tbody")).to_contain_text("CONTROLLER_STATUS")
     page.fill("#trace input", "rig_taken")
@@ -100,6 +88,28 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     kept = [{name: row[name] for name in again[0]} for row in shown]
     assert again[: len(shown)] == kept  # it was stopped; the saved one runs on
     assert sum((chunk.arbitration_id == 0x710).sum() for chunk in read_log(folder / "bus.log")) == 1
+
+
+@pytest.mark.timeout(300)
+def test_every_signal_is_listed_while_a_run_goes_on(page):
+    process, (touch, _look) = panel("ideal", "--set", "fault.kind=none", "--set", "duration_s=60")
+    page.goto(touch)
+    page.click("#start")
+    expect(page.locator("#fault_state")).to_have_text("no fault", timeout=PATIENCE_MS)
+    expect(page.locator("#bar > output")).to_contain_text("last values")
+    assert page.evaluate(HIDDEN) <= 0  # the axis of the lowest chart, below a caption that grew
+    page.select_option("#place", "world")
+    expect(page.locator("#value")).not_to_have_attribute("placeholder", "default")
+    page.click("#bar summary:text-is('Signals')")
+    signal = page.locator("#bar .key:has-text('fault estimate')")
+    expect(signal).to_have_text(re.compile(r"\d$"))
+    signal.click()
+    expect(page.locator(".chart")).to_have_count(6)
+    page.click("[aria-label='remove the chart fault estimate'] >> nth=-1")
+    assert barriers(page) == []
+    page.click("#bar summary:text-is('Signals')")
+    process.terminate()
+    process.wait(60)
 
 
 def test_who_may_look_only_finds_the_buttons_off(page):
