@@ -36,16 +36,6 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     page.goto(touch)
     page.click("#start")
     expect(page.locator("#fault_state")).to_have_text("no fault", timeout=PATIENCE_MS)
-    expect(page.locator("#bar > output")).to_contain_text("last values")
-    assert page.evaluate(HIDDEN) <= 0  # the axis of the lowest chart, below a caption that grew
-    page.click("#bar summary:text-is('Signals')")
-    signal = page.locator("#bar .key:has-text('fault estimate')")
-    expect(signal).to_have_text(re.compile(r"\d$"))
-    signal.click()
-    expect(page.locator(".chart")).to_have_count(6)
-    page.click("[aria-label='remove the chart fault estimate'] >> nth=-1")
-    assert barriers(page) == []
-    page.click("#bar summary:text-is('Signals')")
     page.click("#trace summary")
     expect(page.locator(".frames tbody")).to_contain_text("CONTROLLER_STATUS")
     page.fill("#trace input", "rig_taken")
@@ -100,6 +90,28 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     assert sum((chunk.arbitration_id == 0x710).sum() for chunk in read_log(folder / "bus.log")) == 1
 
 
+@pytest.mark.timeout(300)
+def test_every_signal_is_listed_while_a_run_goes_on(page):
+    process, (touch, _look) = panel("ideal", "--set", "fault.kind=none", "--set", "duration_s=60")
+    page.goto(touch)
+    page.click("#start")
+    expect(page.locator("#fault_state")).to_have_text("no fault", timeout=PATIENCE_MS)
+    expect(page.locator("#bar > output")).to_contain_text("last values")
+    assert page.evaluate(HIDDEN) <= 0  # the axis of the lowest chart, below a caption that grew
+    page.select_option("#place", "world")
+    expect(page.locator("#value")).not_to_have_attribute("placeholder", "default")
+    page.click("#bar summary:text-is('Signals')")
+    signal = page.locator("#bar .key:has-text('fault estimate')")
+    expect(signal).to_have_text(re.compile(r"\d$"))
+    signal.click()
+    expect(page.locator(".chart")).to_have_count(6)
+    page.click("[aria-label='remove the chart fault estimate'] >> nth=-1")
+    assert barriers(page) == []
+    page.click("#bar summary:text-is('Signals')")
+    process.terminate()
+    process.wait(60)
+
+
 def test_who_may_look_only_finds_the_buttons_off(page):
     process, (_touch, look) = panel("ideal")
     page.goto(look)
@@ -145,6 +157,9 @@ def test_each_state_is_said_and_what_has_no_effect_is_disabled(page):
     page.keyboard.press("ArrowRight")
     expect(page.locator("#events")).to_contain_text("move reference 0.005")
     expect(page.locator("#moved")).to_have_text("+0.005 rad")
+    page.fill("#for", "0.3")
+    page.click("#inject")
+    expect(page.locator("#events")).to_contain_text("torque dead for 0.3 s")
     page.focus("#pause")
     page.keyboard.press("Enter")
     state("paused", "Go on")
