@@ -29,6 +29,7 @@ from can_rig.scenario import shipped
 ROOT: Final = Path(__file__).parents[1]
 BUILD: Final = ROOT / "build" / "site"
 COPIED: Final = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "LICENSE", "docs", "dbc")
+ASSETS: Final = ("iframe-worker.js", "website.css", "website.js")
 OUTPUT: Final = "output.png"
 TOP: Final = 0.28
 """Share of a run's picture with the output of the plant."""
@@ -59,7 +60,8 @@ def main(names: list[str]) -> None:
         copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copyfile
         copy(ROOT / name, pages / name)
     (pages / "assets").mkdir()
-    shutil.copyfile(ROOT / "tools" / "iframe-worker.js", pages / "assets" / "iframe-worker.js")
+    for name in ASSETS:
+        shutil.copyfile(ROOT / "tools" / name, pages / "assets" / name)
     for page in pages.rglob("*.md"):
         page.write_text(with_mathml(page.read_text("utf-8")), "utf-8")
     write_reference(pages / "reference")
@@ -103,8 +105,8 @@ def with_mathml(text: str) -> str:
         drawn = drawn.replace("\n", " ")
         if inline:
             return f"<span>{drawn}</span>"
-        number = f'<div style="text-align: right; margin-top: -2em">({tag[1]})</div>' if tag else ""
-        return f'<div style="margin: 1em 0; overflow-x: auto">{drawn}{number}</div>\n'
+        number = f"<span>({tag[1]})</span>" if tag else ""
+        return f'<div class="formula">{drawn}{number}</div>\n'
 
     return CODE_OR_MATHS.sub(formula, text)
 
@@ -156,7 +158,7 @@ def _page(folder: Path, name: str, path: Path) -> str:
         f"{description}.".replace("..", "."),
         f"[The run to zoom and play]({name}/{PAGE}), with all metrics and settings.",
         f"![Signals of the run {name}]({name}/{REPORT})",
-        "\n".join(["| measured in this run | |", "|---|---|", *numbers]),
+        "\n".join(["| measured in this run | value |", "|---|---|", *numbers]),
         f"```sh\ncan-rig run {name}\n```",
         f"```toml\n{text}```",
     ]

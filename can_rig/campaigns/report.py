@@ -244,13 +244,13 @@ def html_page(plan: Plan, summary: Summary, figure: Figure) -> str:
     ]
     if summary.found:
         parts += [f"<h2>Search: least margin of {html.escape(settings.search or '')}</h2>", table(
-            ("", "runs", "least margin", "failed", "first failed at run"),
+            ("method", "runs", "least margin", "failed", "first failed at run"),
             ((each.method, each.runs, *("-" if value is None else value for value in
               (each.least, each.failed, each.first_failed))) for each in summary.found),
         ), "<p>What follows is of the random runs, but for the worst ones.</p>"]  # fmt: skip
     if summary.rates:
         parts += ["<h2>Requirements</h2>", table(
-            ("", "expression", "passed", "failed", "without", "rate", "95 %"),
+            ("requirement", "expression", "passed", "failed", "without", "rate", "95 %"),
             ((rate.name, rate.text, rate.passed, rate.failed, rate.unknown, _percent(rate.share),
               f"{_percent(rate.low)} to {_percent(rate.high)}") for rate in summary.rates),
         )]  # fmt: skip
@@ -262,7 +262,7 @@ def html_page(plan: Plan, summary: Summary, figure: Figure) -> str:
     parts += [
         "<h2>Metrics</h2>",
         table(
-            ("", "runs", "least", "median", "99 %", "greatest"),
+            ("metric", "runs", "least", "median", "99 %", "greatest"),
             ((each.name, each.runs, each.least, each.median, each.percentile_99, each.greatest)
              for each in summary.spreads),
         ),
@@ -273,7 +273,7 @@ def html_page(plan: Plan, summary: Summary, figure: Figure) -> str:
     if settings.names:
         parts += ["<h2>What each axis explains</h2>",
                   "<p>Share of the variance that the axis explains alone.</p>", table(
-            ("", *settings.names),
+            ("metric", *settings.names),
             ((name, *(_percent(by[key]) for key in settings.names))
              for name, by in summary.sensitivities.items()),
         )]  # fmt: skip

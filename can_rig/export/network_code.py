@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
@@ -14,6 +16,7 @@ from can_rig.drawing.names import Signal
 from can_rig.errors import ExportError
 from can_rig.export.c_files import WIDTH, comment, plain
 from can_rig.frames.codec import FRAME_BYTES, MessageCodec
+from can_rig.frames.frame_columns import CRC_TABLES
 from can_rig.frames.network import Network
 from can_rig.scenario.build import dbc_of, heard_by_law
 from can_rig.scenario.sensor_settings import HEARD, SAMPLE_TICKS
@@ -156,7 +159,38 @@ class NetworkCode:
             if codec.modes:
                 lines.append(f"        .valid = 1u, .largest = {SAMPLE_TICKS - 1}u,")
             lines.append("    },")
-        return "\n".join([*lines, *["};"] * bool(self._sensors)]) + "\n"
+        lines += ["};"] * bool(self._sensors)
+        return "\n".join([*lines, "", f"const uint32_t ecu_crc_of_frames = {self._crc()};"]) + "\n"
+
+    def _crc(self) -> str:
+        """CRC-32 of all numbers and of the CRC-8 of each byte, as ``ecu.c`` computes it."""
+        numbers: list[float] = [round(self._scenario.tick_s * 1e6)]
+        for codec in self._network.by_role:
+            numbers += self._guarded(codec)
+        for number, codec, (period, phase, _) in self._sensors:
+            valid, largest = (1, SAMPLE_TICKS - 1) if codec.modes else (0, 0)
+            numbers += [*self._guarded(codec), number, period, phase, valid, largest]
+        numbers += CRC_TABLES[-1].tolist()
+        guarded = (struct.pack("<d" if isinstance(each, float) else "<Q", each) for each in numbers)
+        return f"0x{zlib.crc32(b''.join(guarded)):08X}u"
+
+    def _guarded(self, codec: MessageCodec) -> list[float]:
+        """The numbers of a ``struct frame``; an absent one is 0."""
+        sent, words, counts = _is_sent(codec), 1 << self._word_bits, not codec.float_format
+        numbers: list[float] = [
+            codec.frame_id | codec.extended << 31 | codec.fd << 30,
+            codec.data_id or 0,
+            codec.layout.length,
+        ]
+        if "steps" in self.parts:
+            numbers.append(float(codec.lsb) if counts else 0.0)
+            ends = (-codec.raw_minimum, codec.raw_maximum, codec.not_available if sent else 0)
+            numbers += [int(each) % words if counts else 0 for each in ends]
+        if "whole" in self.parts:
+            numbers.append(self._whole[codec.role] if sent and counts else 0)
+        if "floats" in self.parts:
+            numbers.append(0.0 if counts else float(codec.raw_maximum))
+        return numbers
 
     def _numbers(self, codec: MessageCodec) -> list[str]:
         """The initialisers of a ``struct frame``."""

@@ -11,9 +11,11 @@ from pathlib import Path
 import click
 import pytest
 import website
+from playwright.sync_api import Page
 
 import can_rig
 from can_rig.cli.main import main
+from tests.browser import barriers
 from tests.helpers import asked
 from tests.project.pages import PAGES, ROOT
 
@@ -59,6 +61,23 @@ def test_every_page_command_and_name_of_python_is_in_the_site(site: Path) -> Non
     for name in can_rig.__all__:
         of = getattr(can_rig, name)
         assert f"{of.__module__}.{of.__qualname__}" in python
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize(
+    "name",
+    ["index", "docs/design", "docs/tutorial-own-filter", "reference/python", "gallery/pendulum"],
+)
+def test_no_page_has_a_barrier_or_is_wider_than_a_phone(site: Path, name: str, page: Page) -> None:
+    page.goto((site / f"{name}.html").as_uri())
+    page.wait_for_selector(".md-code__nav[aria-label]", state="attached")
+    assert barriers(page) == []
+    hidden = (
+        "[...document.querySelectorAll('.formula')].map((f) => f.scrollHeight - f.clientHeight)"
+    )
+    assert max(page.evaluate(hidden), default=0) <= 0
+    page.set_viewport_size({"width": 390, "height": 844})
+    assert page.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
 
 
 def test_a_name_with_an_asterisk_begins_no_emphasis(site: Path) -> None:

@@ -68,7 +68,7 @@ class Trace {
   begin(kinds, frames = [], note = "") { Object.assign(this, { kinds: [], frames, note }); this.know(kinds); this.choose(); }
 
   know(kinds) {
-    this.kinds.push(...kinds.map((kind) => ({ ...kind, text: `${kind.bus} ${kind.identifier} ${kind.name}`.toLowerCase() })));
+    this.kinds.push(...kinds.map((kind) => ({ ...kind, names: kind.signals.map((signal) => signal.name.toLowerCase()), text: `${kind.bus} ${kind.identifier} ${kind.name}`.toLowerCase() })));
   }
 
   // Add the newest frames; whoever looks at the end stays at the end.
@@ -95,7 +95,7 @@ class Trace {
     if (compared && compared[1] === "data") fits = (frame) => hex(frame.data).join("").toLowerCase().includes(compared[3]);
     else if (compared) {
       const [, name, sign, to] = compared;
-      fits = (frame) => this.values(frame).some((v) => v.name.toLowerCase() === name && ((sign === "=" && String(v.word).toLowerCase() === to) || SIGNS[sign](Number(v.value), Number(to))));
+      fits = (frame) => this.kinds[frame.kind].names.includes(name) && this.values(frame).some((v) => v.name.toLowerCase() === name && ((sign === "=" && String(v.word).toLowerCase() === to) || SIGNS[sign](Number(v.value), Number(to))));
     }
     return not ? (frame) => !fits(frame) : fits;
   }

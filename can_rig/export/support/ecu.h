@@ -89,8 +89,8 @@ struct ecu {
 /* Longest standstill of the node whose ticks are made up for, one after the other. */
 #define ECU_MOST_LATE_TICKS 16u
 
-/* Start, as after power-up; whether the self-test of self_test.h succeeds. A node whose test fails
- * stays silent.
+/* Start, as after power-up; whether the self-test of self_test.h succeeds, and the numbers of the
+ * frames are whole. Another node stays silent.
  */
 bool ecu_init(struct ecu *ecu);
 
@@ -121,6 +121,9 @@ void ecu_on_tick(struct ecu *ecu);
 
 /* How long a tick is. */
 extern const uint32_t ecu_tick_us;
+
+/* CRC-32 of all numbers of network.c. */
+extern const uint32_t ecu_crc_of_frames;
 
 /* Put a frame of a node on its bus: to be provided by the application. 'id' is that
  * of a struct frame.

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -173,6 +174,47 @@ def test_a_flipped_bit_of_what_the_test_compares_with_is_noticed(field: str, bui
     files = node | {"self_test_data.c": node["self_test_data.c"].replace(right[0], wrong)}
     program = compiled(["cc"], ["-std=c99"], files, ".out")
     assert subprocess.run([program], check=False, capture_output=True).returncode == 1
+
+
+FRAME = [*range(7), *range(8, 32)]  # bytes of its numbers, which addresses of functions follow
+SENSOR = [*FRAME, 48, *range(52, 68)]
+SILENT = "void ecu_send(const struct ecu *e, uint32_t id, uint8_t n, const uint8_t *data)\n{\n}\n"
+
+
+def starts(node: dict[str, str], *options: str) -> tuple[ctypes.CDLL, Any]:
+    """A node as a library, and its ``ecu_init``."""
+    files = node | {"silent.c": '#include "ecu.h"\n' + SILENT}
+    code = ctypes.CDLL(str(compiled(["gcc"], ["-O2", "-fPIC", "-shared", *options], files, ".so")))
+    memory = ctypes.create_string_buffer(1 << 16)
+    code.ecu_init.restype = ctypes.c_bool
+    return code, lambda: code.ecu_init(memory)
+
+
+def test_a_flipped_bit_of_the_numbers_of_a_frame_is_noticed() -> None:
+    """Of a sensor's frame and of the table of the CRC too, which no answer of the law shows."""
+    node = application(load("cluster", ['design.precision="float32"']))
+    constant = re.compile(r"const (struct (?:ecu_sensor_)?frame (?:frame_|ecu_sensors))")
+    in_memory = {name: constant.sub(r"\1", text) for name, text in node.items()}
+    code, start = starts(in_memory)
+    assert start()
+    roles = ("reference", "feedback", "command_1", "command_2", "status")
+    places = [(f"frame_{role}", at) for role in roles for at in FRAME]
+    for name, at in [*places, *(("ecu_sensors", 72 * n + at) for n in range(4) for at in SENSOR)]:
+        place = (ctypes.c_uint8 * (4 * 72)).in_dll(code, name)
+        place[at] ^= 1 << at % 8
+        assert not start(), (name, at)
+        place[at] ^= 1 << at % 8
+    assert start()
+    wrong = node | {"crc.c": node["crc.c"].replace("0x3Cu,", "0x3Du,")}
+    assert wrong["crc.c"] != node["crc.c"]
+    assert not starts(wrong)[1]()
+
+
+def test_a_compiler_that_makes_double_literals_single_is_refused() -> None:
+    """The law in single precision has none; a frame has."""
+    node = application(load("default", ['design.precision="float32"']))
+    assert starts(node)[1]()
+    assert not starts(node, "-fsingle-precision-constant")[1]()
 
 
 def scenario_of(kind: str) -> Scenario:
