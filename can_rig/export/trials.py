@@ -277,7 +277,7 @@ def random_table(
     witness.lateral_weight, witness.late = random.random(), random.choice([0.0, 0.4, 3.0])
     if witness.longest == 100 and witness.working == 1:  # later than what the rings keep
         witness.late = 2.0 * KEPT_TICKS
-    witness.makes = int(witness.working == 4)
+    witness.makes = int(witness.working == 2)
     monitor = table.monitor
     monitor.enabled = random.random() < 0.4
     monitor.most_swings, monitor.patience = random.integers(1, 4, 2)

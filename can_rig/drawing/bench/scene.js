@@ -34,7 +34,7 @@ class Scene {
     ctx.font = "12px system-ui, sans-serif"; ctx.lineJoin = ctx.lineCap = "round";
     ctx.save(); ctx.beginPath(); ctx.rect(margin, 0, width - margin, height); ctx.clip(); ctx.translate(margin, 0);
     this.width = width - margin;
-    this.middle = height * (margin ? 0.5 : 0.56); // of the lane; the words stand above or beside
+    this.middle = height * (margin ? 0.5 : width < 600 ? 0.74 : 0.56); // of the lane; the words stand above or beside
     const i = this.row, now = data && data.time.length ? data.time[i] : null;
     this.broken = now === null ? [] : this.dead.filter((d) => d.begin <= now && (d.end === null || now < d.end));
     const words = now === null ? ["no motion yet"] : this[setting.kind].call(this, this.width, height, i);
@@ -160,14 +160,14 @@ class Scene {
 
   // Any other plant: the loop as blocks, with the values on the lines between the blocks.
   blocks(width, height, i) {
-    const { data, setting, ctx } = this, { units } = setting, y = this.middle, at = (share) => share * width, low = y + 52;
+    const { data, setting, ctx } = this, { units } = setting, y = this.middle, at = (share) => share * width, half = height < 180 ? 26 : 34, low = y + half + 16;
     const value = (share, above, v, n) => ctx.fillText(`${shown(v)} ${units[n]}`, at(share) + 6, above);
     const block = (from, to, name) => {
-      ctx.beginPath(); ctx.rect(at(from), y - 34, at(to) - at(from), 68);
+      ctx.beginPath(); ctx.rect(at(from), y - half, at(to) - at(from), 2 * half);
       ctx.fillStyle = colour("card"); ctx.fill(); ctx.strokeStyle = colour("ink"); ctx.lineWidth = 1.5; ctx.stroke();
-      ctx.fillStyle = colour("ink"); ctx.fillText(name, at(from) + 8, y + 4);
+      ctx.fillStyle = colour("ink"); ctx.fillText(name, at(from) + (half < 30 ? 4 : 8), y + 4);
     };
-    if (setting.feedback) { this.line([[at(0.9), y], [at(0.9), low], [at(0.3), low], [at(0.3), y + 44]], "blue", 2); this.arrow(at(0.3), y + 44, 0, -3, "blue"); }
+    if (setting.feedback) { this.line([[at(0.9), y], [at(0.9), low], [at(0.3), low], [at(0.3), y + half + 10]], "blue", 2); this.arrow(at(0.3), y + half + 10, 0, -3, "blue"); }
     this.arrow(at(0.02), y, at(0.19) - 7, 0, "soft"); this.arrow(at(0.8), y, at(0.19) - 7, 0, "blue");
     block(0.21, 0.39, "controller"); block(0.62, 0.8, "plant");
     ctx.fillStyle = colour("ink"); value(0.01, y - 8, data.reference[i], 0); value(0.8, y - 8, data.output[i], 0);

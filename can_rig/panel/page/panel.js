@@ -4,6 +4,8 @@
 const WINDOW_S = 20, KEPT_S = 180;
 const $ = (id) => document.getElementById(id);
 const charts = new Charts($("charts"), $("bar"), { windowS: WINDOW_S }), scene = new Scene($("scene"));
+charts.list = element("div");
+$("bar").insertBefore(element("details", { className: "layouts" }, element("summary", { textContent: "Signals" }), charts.list), charts.time);
 const trace = new Trace($("trace"), (t) => charts.mark(t));
 
 let hello = null, mayTouch = false, lamps = {}, state = { name: "connecting", says: "", orders: [] }, rows = [], stale = false;
@@ -112,8 +114,8 @@ function showLamps() {
 
 function addEvent(event) {
   const of = hello.places.find((each) => each.place === event.place), kind = of && of.kinds.find((each) => each.kind === event.kind);
-  const parts = [of && of.words, kind ? kind.words : event.kind, event.value !== null && kind && kind.value ? `${kind.value.split(/[ ,]/)[0]} ${event.value}` : event.value, event.duration_s && `for ${event.duration_s} s`];
-  const words = parts.filter((p) => p !== null && p !== undefined && p !== "").join(" ");
+  const parts = [of && of.words, kind ? kind.words : event.kind, event.value !== null && (kind && kind.value ? `${kind.value.split(/[ ,]/)[0]} ` : "") + shown(event.value), event.duration_s && `for ${shown(event.duration_s)} s`];
+  const words = parts.filter(Boolean).join(" ");
   const item = element("li", { textContent: `${event.time_s.toFixed(2)} s  ${event.action.toLowerCase().replace("_", " ")} ${words}` });
   $("events").append(item); $("events").scrollTop = 1e6;
   if (event.action === "INJECT") scene.dead.push({ place: event.place, begin: event.time_s, end: event.duration_s ? event.time_s + event.duration_s : null, words });
@@ -138,7 +140,7 @@ const kind = () => place().kinds[$("kind").selectedIndex];
 function showKinds() { fill($("kind"), place().kinds.map((each) => [each.kind, each.words])); showValue(); }
 function showValue() {
   const words = kind().value;
-  $("value-name").textContent = words || "no value"; $("value").value = ""; showState();
+  $("value-name").textContent = words || "no value"; $("value").value = ""; $("value").placeholder = place().place === "world" ? "a number" : "default"; showState();
 }
 function showMoved() {
   const value = Number($("move").value);

@@ -182,6 +182,7 @@ def _changes(
 STYLE: Final = """
 .hint { color: var(--soft); }
 #marks { columns: 22rem; max-height: 14rem; overflow: auto; font-variant-numeric: tabular-nums; }
+@media (max-width: 800px) { #marks { max-height: none; } }
 #play input { flex: 1; padding: 0; }
 .key { border: 0; background: none; text-align: left; text-decoration: underline; }
 """

@@ -1,5 +1,6 @@
 """The panel as a person has it: in a browser, with a mouse."""
 
+import csv
 import re
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from can_rig.logs.reading import read_log
 from tests.browser import barriers
 from tests.processes import start
 
+STILL = {"specific_force_mps2", "lateral_acceleration_mps2"}  # columns that move without a push
 PATIENCE_MS = 90_000  # a busy machine compiles
 
 
@@ -34,8 +36,6 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     page.goto(touch)
     page.click("#start")
     expect(page.locator("#fault_state")).to_have_text("no fault", timeout=PATIENCE_MS)
-    expect(page.locator("#bar output")).to_contain_text("last values")
-    assert page.evaluate(HIDDEN) <= 0  # the axis of the lowest chart, below a caption that grew
     page.click("#trace summary")
     expect(page.locator(".frames tbody")).to_contain_text("CONTROLLER_STATUS")
     page.fill("#trace input", "rig_taken")
@@ -80,10 +80,36 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     assert len(heard) > 5000
     recorded = {"100", "101", "110", "111", "120"}  # beside frames for the panel
     assert {(of, data) for of, data in heard if of in recorded} <= set(logged)
-    shown = (folder / "signals.csv").read_bytes().splitlines()
-    again = (tmp_path / "again/signals.csv").read_bytes().splitlines()
-    assert again[: len(shown)] == shown  # it was stopped; the saved one runs on
+    shown, again = (
+        list(csv.DictReader((of / "signals.csv").open())) for of in (folder, tmp_path / "again")
+    )
+    world = set(shown[0]) - set(again[0])  # only a run that can be touched may yet be pushed
+    assert {row[name] for row in shown for name in world - STILL} <= {"0", "0.0", "1", "1.0"}
+    kept = [{name: row[name] for name in again[0]} for row in shown]
+    assert again[: len(shown)] == kept  # it was stopped; the saved one runs on
     assert sum((chunk.arbitration_id == 0x710).sum() for chunk in read_log(folder / "bus.log")) == 1
+
+
+@pytest.mark.timeout(300)
+def test_every_signal_is_listed_while_a_run_goes_on(page):
+    process, (touch, _look) = panel("ideal", "--set", "fault.kind=none", "--set", "duration_s=60")
+    page.goto(touch)
+    page.click("#start")
+    expect(page.locator("#fault_state")).to_have_text("no fault", timeout=PATIENCE_MS)
+    expect(page.locator("#bar > output")).to_contain_text("last values")
+    assert page.evaluate(HIDDEN) <= 0  # the axis of the lowest chart, below a caption that grew
+    page.select_option("#place", "world")
+    expect(page.locator("#value")).not_to_have_attribute("placeholder", "default")
+    page.click("#bar summary:text-is('Signals')")
+    signal = page.locator("#bar .key:has-text('fault estimate')")
+    expect(signal).to_have_text(re.compile(r"\d$"))
+    signal.click()
+    expect(page.locator(".chart")).to_have_count(6)
+    page.click("[aria-label='remove the chart fault estimate'] >> nth=-1")
+    assert barriers(page) == []
+    page.click("#bar summary:text-is('Signals')")
+    process.terminate()
+    process.wait(60)
 
 
 def test_who_may_look_only_finds_the_buttons_off(page):
@@ -131,6 +157,9 @@ def test_each_state_is_said_and_what_has_no_effect_is_disabled(page):
     page.keyboard.press("ArrowRight")
     expect(page.locator("#events")).to_contain_text("move reference 0.005")
     expect(page.locator("#moved")).to_have_text("+0.005 rad")
+    page.fill("#for", "0.3")
+    page.click("#inject")
+    expect(page.locator("#events")).to_contain_text("torque dead for 0.3 s")
     page.focus("#pause")
     page.keyboard.press("Enter")
     state("paused", "Go on")
@@ -139,9 +168,9 @@ def test_each_state_is_said_and_what_has_no_effect_is_disabled(page):
     state("running", "1 × real time")
     page.focus(".chart >> nth=0")
     page.keyboard.press("ArrowLeft")
-    expect(page.locator("#bar output")).to_contain_text("values at")
+    expect(page.locator("#bar > output")).to_contain_text("values at")
     page.keyboard.press("Enter")
-    expect(page.locator("#bar output")).to_contain_text("after the mark")
+    expect(page.locator("#bar > output")).to_contain_text("after the mark")
     page.click("#stop")
     state("ended", "was stopped")
     expect(page.locator("#save")).to_be_enabled()
