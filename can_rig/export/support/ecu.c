@@ -47,7 +47,9 @@ static uint32_t with_number(uint32_t crc, uint64_t number)
     uint8_t bytes[sizeof number];
 
     for (uint32_t i = 0; i < sizeof bytes; i++) {
-        bytes[i] = (uint8_t)((number >> (8u * i)) & 0xFFu);
+        const uint32_t places = 8u * i;
+
+        bytes[i] = (uint8_t)((number >> places) & 0xFFu);
     }
     return crc_32(crc, bytes, sizeof bytes);
 }
