@@ -14,7 +14,10 @@ import tempfile
 from pathlib import Path
 from typing import Final, Protocol
 
-from can_rig.controllers.protocol import COUNTS, Sent
+from can_rig.controllers import SERIAL
+from can_rig.controllers.compiled_law import CompiledLaw
+from can_rig.controllers.our_law import in_node
+from can_rig.controllers.protocol import COUNTS, Sent, Supplied, WholeNode
 from can_rig.errors import ExportError, require
 from can_rig.export.application import (
     IDENTITY_BYTES,
@@ -22,6 +25,7 @@ from can_rig.export.application import (
     SENT_HEAD,
     application,
     bench,
+    identity,
 )
 from can_rig.export.boards import (
     COUNT,
@@ -29,14 +33,38 @@ from can_rig.export.boards import (
     RESTART,
     SURVIVE,
     emulation,
+    firmware_image,
     frame_order,
     order,
 )
 from can_rig.export.compiler import host_compiler, loaded, shared_library
+from can_rig.export.network_code import frame_bytes, sensors_of
 from can_rig.frames.codec import FRAME_BYTES
+from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
 MOST_SENT: Final = 3
+
+
+def in_c(name: str, scenario: Scenario) -> Supplied:
+    """The rig's own law as C, or the whole node in C; see ``making.controller_of``."""
+    if name == "c":
+        return in_node(
+            CompiledLaw(scenario.design.precision, changes_speed=scenario.drive.is_given)
+        )
+    network = network_of(scenario)
+    receivers = network.offered + len(sensors_of(scenario, network))
+    room = frame_bytes(network)
+    if name == "ecu":
+        library = host_library(scenario)
+        return WholeNode(lambda: HostEcu(library, room))
+    if name.startswith(SERIAL):
+        expected = identity(application(scenario))
+        port = name.removeprefix(SERIAL)
+        return WholeNode(lambda: serial_ecu(port, expected, scenario.name, receivers, room))
+    board = name.removeprefix("arm:")
+    image = firmware_image(scenario, board)
+    return WholeNode(lambda: BenchEcu(EmulatedBoard(image, board), receivers, room))
 
 
 def sent(memory: bytes, n: int, room: int) -> Sent:

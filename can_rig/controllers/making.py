@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-from can_rig.controllers import SERIAL
-from can_rig.controllers.compiled_law import CompiledLaw
-from can_rig.controllers.ecus import (
-    BenchEcu,
-    EmulatedBoard,
-    HostEcu,
-    host_library,
-    serial_ecu,
-)
 from can_rig.controllers.filters_law import filters_law
 from can_rig.controllers.library import LibraryController
-from can_rig.controllers.our_law import PYTHON, in_node
+from can_rig.controllers.our_law import PYTHON
 from can_rig.controllers.peer import Peer, class_of
-from can_rig.controllers.protocol import InNode, NodeController, Supplied, WholeNode
+from can_rig.controllers.protocol import InNode, NodeController, Supplied
 from can_rig.controllers.setup import ControllerSetup
 from can_rig.errors import ExportError, require
-from can_rig.export.application import application, identity
-from can_rig.export.boards import firmware_image
-from can_rig.export.network_code import frame_bytes, sensors_of
 from can_rig.frames.network import Network
-from can_rig.scenario.build import network_of
 from can_rig.scenario.controller_settings import FILTERS
 from can_rig.scenario.settings import Scenario
 
@@ -75,20 +62,6 @@ def controller_of(name: str, scenario: Scenario) -> Supplied:
         return PEER
     if name == "python":
         return PYTHON
-    if name == "c":
-        return in_node(
-            CompiledLaw(scenario.design.precision, changes_speed=scenario.drive.is_given)
-        )
-    network = network_of(scenario)
-    receivers = network.offered + len(sensors_of(scenario, network))
-    room = frame_bytes(network)
-    if name == "ecu":
-        library = host_library(scenario)
-        return WholeNode(lambda: HostEcu(library, room))
-    if name.startswith(SERIAL):
-        expected = identity(application(scenario))
-        port = name.removeprefix(SERIAL)
-        return WholeNode(lambda: serial_ecu(port, expected, scenario.name, receivers, room))
-    board = name.removeprefix("arm:")
-    image = firmware_image(scenario, board)
-    return WholeNode(lambda: BenchEcu(EmulatedBoard(image, board), receivers, room))
+    from can_rig.controllers.ecus import in_c  # noqa: PLC0415 (the translator to C)
+
+    return in_c(name, scenario)
