@@ -112,10 +112,9 @@ def test_everything_is_explained_and_set(name):
 def test_identifiers_follow_the_order_of_a_tick(name):
     messages = sorted(load(name).messages, key=lambda message: message.frame_id)
     speed = (SPEED,) if name == FILES[0] else ()
-    sensors = FURTHER if name == FILES[0] else FURTHER[3:]
     roles = tuple(attribute(message, "RigRole") for message in messages)
-    assert roles == (*speed, *sensors, *ROLES)
-    own = ["PLANT"] * (2 + len(speed) + len(sensors))
+    assert roles == (*speed, *FURTHER, *ROLES)
+    own = ["PLANT"] * (2 + len(speed) + len(FURTHER))
     assert [message.senders[0] for message in messages] == own + ["CONTROLLER"] * 3
 
 

@@ -133,6 +133,7 @@ def test_the_list_of_changes_below_names_every_key():
         "disturbance",
         "sensor",
         "fault.other",  # of further sensors
+        "plant.sensor.is_made",  # likewise
     }
     assert set(OTHER) == {key for key in own if not BY_NUMBERS.match(key) and key not in OF_A_DRIVE}
     assert all(DEFAULTS[key] != value for key, value in OTHER.items())
