@@ -75,7 +75,7 @@ class Access:
         return {f"{name}{port}" for name in NAMES}
 
 
-UPDATES_PER_S: Final = 30
+UPDATES_PER_S: Final = 60
 MOST_BYTES: Final = 4096
 """Of an order."""
 
@@ -176,7 +176,7 @@ class Server:
             viewer.offer(json.dumps({"refused": "not an order of this panel"}))
 
     async def _updating(self, _app: web.Application) -> AsyncIterator[None]:
-        """While the server runs, tell the browsers what is new, 30 times a second at most."""
+        """While the server runs, tell the browsers what is new, 60 times a second at most."""
         task = asyncio.create_task(self._update_for_ever())
         yield
         task.cancel()

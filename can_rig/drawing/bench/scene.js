@@ -72,8 +72,10 @@ class Scene {
     const place = (x, y) => { const [dx, dy] = [x - cx, y - cy]; return [(width * BEHIND_M) / (BEHIND_M + AHEAD_M) + scale * (dx * cos + dy * sin), this.middle - scale * (dy * cos - dx * sin)]; };
     const way = (prefix, until) => {
       const xs = data[`${prefix}x`], ys = data[`${prefix}y`], points = [];
-      for (let k = i; k >= 0; k--) { const p = place(xs[k], ys[k]); points.unshift(p); if (p[0] < -50) break; }
-      for (let k = i + 1; k < Math.min(xs.length, until); k++) { const p = place(xs[k], ys[k]); points.push(p); if (p[0] > width + 50 || p[0] < -50) break; }
+      const add = (p) => { const q = points[points.length - 1]; if (!q || Math.abs(p[0] - q[0]) + Math.abs(p[1] - q[1]) > 1) points.push(p); }; // a pixel apart
+      for (let k = i; k >= 0; k--) { const p = place(xs[k], ys[k]); add(p); if (p[0] < -50) break; }
+      points.reverse();
+      for (let k = i + 1; k < Math.min(xs.length, until); k++) { const p = place(xs[k], ys[k]); add(p); if (p[0] > width + 50 || p[0] < -50) break; }
       return points;
     };
     const road = way(lane, Infinity), n = road.length;

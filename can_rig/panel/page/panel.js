@@ -8,25 +8,21 @@ charts.list = element("div");
 $("bar").insertBefore(element("details", { className: "layouts" }, element("summary", { textContent: "Signals" }), charts.list), charts.time);
 const trace = new Trace($("trace"), (t) => charts.mark(t));
 
-let hello = null, mayTouch = false, lamps = {}, state = { name: "connecting", says: "", orders: [] }, rows = [], stale = false;
+let hello = null, mayTouch = false, lamps = {}, state = { name: "connecting", says: "", orders: [] }, rows = [], shaded = [], stale = false;
 
 // Curves ---------------------------------------------------------------------------------------
 
-function drawn() { // the columns by key, and two that the page computes
-  const data = Object.fromEntries(hello.columns.map((name, i) => [name, rows[i]]));
-  data.error = data.reference.map((r, i) => (r === null || data.output[i] === null ? null : r - data.output[i]));
-  data.confirm = data.time.map(() => hello.confirm);
-  return data;
-}
+const drawn = () => Object.fromEntries([...hello.columns, "error", "confirm"].map((name, i) => [name, rows[i]]));
 
 function draw() {
   requestAnimationFrame(draw);
   if (!stale || !hello || !rows.length || document.hidden) return;
   stale = false;
   const data = drawn(), shade = { 1: "suspect", 2: "confirmed" };
-  charts.shades = spans(data.time, data.fault_state).filter(({ code }) => shade[code]).map((span) => ({ ...span, colour: shade[span.code] }));
+  shaded = spans(data.time, data.fault_state, shaded);
+  charts.shades = shaded.filter(({ code }) => shade[code]).map((span) => ({ ...span, colour: shade[span.code] }));
+  if (hello.scene) showScene(data); // before the values: their words would have the canvas measured anew
   charts.setData(data);
-  if (hello.scene) showScene(data);
 }
 
 // The rows of the scene: of a car, those with a position; its lane is its path until the first
@@ -60,15 +56,19 @@ function append(buffer) {
   if (m === 0) { trace.take(framesOf(buffer, 8, n)); return; }
   const values = new Float64Array(buffer, 8);
   if (m !== hello.columns.length) return;
-  if (!rows.length) rows = hello.columns.map(() => []);
+  if (!rows.length) rows = [...hello.columns, "error", "confirm"].map(() => []);
   for (let c = 0; c < m; c++) {
     const to = rows[c];
     for (let i = 0; i < n; i++) { const v = values[c * n + i]; to.push(Number.isNaN(v) ? null : v); }
   }
+  const [reference, output] = ["reference", "output"].map((name) => rows[hello.columns.indexOf(name)]);
+  for (let i = rows[m].length; i < rows[0].length; i++) { // two columns that the page computes
+    rows[m].push(reference[i] === null || output[i] === null ? null : reference[i] - output[i]); rows[m + 1].push(hello.confirm);
+  }
   const time = rows[0], oldest = time[time.length - 1] - KEPT_S;
   if (time[0] < oldest - 10) {
     const drop = time.findIndex((t) => t >= oldest);
-    rows = rows.map((values) => values.slice(drop));
+    rows = rows.map((values) => values.slice(drop)); shaded = [];
   }
   stale = true;
 }
@@ -167,7 +167,7 @@ function wire() {
 }
 
 function begin(said) {
-  hello = said; rows = []; stale = true; lamps = { ...lamps, silent: [] };
+  hello = said; rows = []; shaded = []; stale = true; lamps = { ...lamps, silent: [] };
   charts.marks = [];
   document.title = `can-rig ${hello.name}`;
   $("name").textContent = hello.name;
