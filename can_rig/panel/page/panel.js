@@ -1,14 +1,14 @@
 // The page of `can-rig panel`: rows in, curves out; buttons in, orders out.
 "use strict";
 
-const WINDOW_S = 20, KEPT_S = 180;
+const WINDOW_S = 20, KEPT_S = 180, MOST_EVENTS = 200;
 const $ = (id) => document.getElementById(id);
 const charts = new Charts($("charts"), $("bar"), { windowS: WINDOW_S }), scene = new Scene($("scene"));
 charts.list = element("div");
 $("bar").insertBefore(element("details", { className: "layouts" }, element("summary", { textContent: "Signals" }), charts.list), charts.time);
 const trace = new Trace($("trace"), (t) => charts.mark(t));
 
-let hello = null, mayTouch = false, lamps = {}, state = { name: "connecting", says: "", orders: [] }, rows = [], shaded = [], stale = false;
+let hello = null, mayTouch = false, lamps = {}, state = { name: "connecting", says: "", orders: [] }, rows = [], shaded = [], last = {}, stale = false;
 
 // Curves ---------------------------------------------------------------------------------------
 
@@ -66,6 +66,14 @@ function append(buffer) {
     rows[m].push(reference[i] === null || output[i] === null ? null : reference[i] - output[i]); rows[m + 1].push(hello.confirm);
   }
   const time = rows[0], oldest = time[time.length - 1] - KEPT_S;
+  for (const [name, [noun, words]] of Object.entries(hello.marked)) {
+    const codes = rows[hello.columns.indexOf(name)];
+    for (let i = time.length - n; i < time.length; i++) {
+      if (codes[i] === null || codes[i] === last[name]) continue;
+      if (last[name] !== undefined) addEvent({ time_s: time[i], action: "STATE", text: `${noun}: ${words[codes[i]]}` });
+      last[name] = codes[i];
+    }
+  }
   if (time[0] < oldest - 10) {
     const drop = time.findIndex((t) => t >= oldest);
     rows = rows.map((values) => values.slice(drop)); shaded = [];
@@ -114,13 +122,16 @@ function showLamps() {
 
 function addEvent(event) {
   const of = hello.places.find((each) => each.place === event.place), kind = of && of.kinds.find((each) => each.kind === event.kind);
-  const parts = [of && of.words, kind ? kind.words : event.kind, event.value !== null && (kind && kind.value ? `${kind.value.split(/[ ,]/)[0]} ` : "") + shown(event.value), event.duration_s && `for ${shown(event.duration_s)} s`];
+  const parts = [of && of.words, kind ? kind.words : event.kind, typeof event.value === "number" && (kind && kind.value ? `${kind.value.split(/[ ,]/)[0]} ` : "") + shown(event.value), event.duration_s && `for ${shown(event.duration_s)} s`];
   const words = parts.filter(Boolean).join(" ");
-  const item = element("li", { textContent: `${event.time_s.toFixed(2)} s  ${event.action.toLowerCase().replace("_", " ")} ${words}` });
+  const item = element("li", { textContent: `${event.time_s.toFixed(2)} s  ${event.text || `${event.action.toLowerCase().replace("_", " ")} ${words}`}` });
   $("events").append(item); $("events").scrollTop = 1e6;
+  if ($("events").childElementCount > MOST_EVENTS) $("events").firstElementChild.remove();
   if (event.action === "INJECT") scene.dead.push({ place: event.place, begin: event.time_s, end: event.duration_s ? event.time_s + event.duration_s : null, words });
   if (event.action === "CLEAR") scene.dead.forEach((d) => { if (["all", d.place].includes(event.place) && (d.end === null || d.end > event.time_s)) d.end = event.time_s; });
-  if (["INJECT", "CLEAR"].includes(event.action)) charts.marks.push(event);
+  if (["MOVE_REFERENCE", "PACE", "PAUSE", "STEP"].includes(event.action)) return;
+  charts.marks.push(event);
+  if (charts.marks.length > MOST_EVENTS) charts.marks.shift();
 }
 
 // Orders ---------------------------------------------------------------------------------------
@@ -167,7 +178,7 @@ function wire() {
 }
 
 function begin(said) {
-  hello = said; rows = []; shaded = []; stale = true; lamps = { ...lamps, silent: [] };
+  hello = said; rows = []; shaded = []; last = {}; stale = true; lamps = { ...lamps, silent: [] };
   charts.marks = [];
   document.title = `can-rig ${hello.name}`;
   $("name").textContent = hello.name;
