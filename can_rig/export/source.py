@@ -166,8 +166,8 @@ class Module:
             declared = self.lookup(node.name) if isinstance(node, ast.ClassDef) else None
             if isinstance(declared, type) and issubclass(declared, Struct):
                 try:
-                    fields_of(declared)
-                except TypeError as error:
+                    _refuse_circle(declared)
+                except (TypeError, NameError) as error:
                     raise self.refuse(_declaration(node, str(error)), str(error)) from None
                 tag = f"{self.name}_{snake(declared.__name__)}"
                 found[declared] = CStruct(self.name, tag, declared, node.lineno)
@@ -238,6 +238,23 @@ def _declaration(struct: ast.stmt, error: str) -> ast.stmt:
     name = error.partition(":")[0].rpartition(".")[2]
     fields = (each for each in getattr(struct, "body", []) if isinstance(each, ast.AnnAssign))
     return next((each for each in fields if ast.unparse(each.target) == name), struct)
+
+
+def _refuse_circle(struct: type[Struct], within: tuple[type[Struct], ...] = ()) -> None:
+    """Refuse a declaration that contains itself, alone or through others.
+
+    Raises:
+        TypeError: names both; or see ``fields_of``.
+    """
+    for field in fields_of(struct):
+        if not isinstance(field.kind, type):
+            continue
+        if field.kind in (*within, struct):
+            raise TypeError(
+                f"{struct.__module__}.{struct.__qualname__}.{field.name}: must not contain "
+                f"{field.kind.__qualname__}, which contains it"
+            )
+        _refuse_circle(field.kind, (*within, struct))
 
 
 def snake(words: str) -> str:

@@ -421,3 +421,20 @@ def test_a_controller_begins_with_the_witness_alone(level: float) -> None:
         modes.append(answer.mode)
     assert Mode.RUN in modes[:PERIOD]
     assert car.y == pytest.approx(1.0, abs=0.01)
+
+
+def test_without_a_sensor_of_the_output_both_do_what_their_sum_does() -> None:
+    """Also where a sample, or the reference, is missing; nothing judges the sum."""
+    makes, given = Firmware(table_of(replace(WITNESS, makes=True))), Firmware(table_of(None))
+    random = np.random.default_rng(5)
+    for k in range(1500):
+        r = math.nan if random.random() < 0.01 else math.sin(k / 40)
+        turning, lateral = random.normal(0.8 * math.sin(k / 40) / np.array([SPEED_MPS, 1.0]), 0.02)
+        lost = random.random() < 0.02
+        if not lost:
+            makes.hear(3, turning)
+        makes.hear(4, lateral)
+        y = WEIGHT * lateral + (1.0 - WEIGHT) * (SPEED_MPS * turning)
+        commands = makes.step(r, math.nan)
+        assert commands == given.step(r, math.nan if lost else y), k
+    assert np.abs(commands).max() > 0.0

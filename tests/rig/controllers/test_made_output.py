@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import can
@@ -20,10 +19,7 @@ from can_rig.plant.frameless import frameless
 from can_rig.results.isolation import with_verdict
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.controls import controls
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import Firmware
-from firmware_model.law.structs import copied
 from tests.helpers import DBC
 
 MADE = (
@@ -31,8 +27,6 @@ MADE = (
 )  # fmt: skip
 ALONE = ["design.supervision=none", "design.compensation=always"]
 SHORT = ("duration_s=6", "fault.at_s=3")
-YAW_RATE, ACCELERATION = 3, 4
-"""Their numbers for ``Firmware.hear``."""
 
 
 def made(*settings: str) -> Scenario:
@@ -79,27 +73,6 @@ def test_what_the_pictures_show_is_what_the_frames_of_both_sensors_make(tmp_path
     weight, speed = scenario.plant.lateral_weight, scenario.plant.speed_mps
     np.testing.assert_allclose(shown, weight * lateral + (1 - weight) * speed * turning, atol=1e-12)
     assert np.abs(shown).max() > 0.5
-
-
-def test_the_law_does_with_both_what_it_does_with_their_sum() -> None:
-    """Also where a sample, or the reference, is missing."""
-    of = controls(made(), network_of(made()))
-    told = copied(of.table)[0]
-    told.witness.makes = told.witness.longest = 0
-    makes, given = Firmware(of.table), Firmware(told)
-    weight, speed = of.table.witness.lateral_weight, of.table.witness.speed
-    random = np.random.default_rng(5)
-    for tick in range(3000):
-        r = math.nan if random.random() < 0.01 else math.sin(tick / 40)
-        turning, lateral = (random.normal(0.8 * math.sin(tick / 40) / s, 0.02) for s in (10.0, 1.0))
-        lost = random.random() < 0.02
-        if not lost:
-            makes.hear(YAW_RATE, turning)
-        makes.hear(ACCELERATION, lateral)
-        y = weight * lateral + (1.0 - weight) * (speed * turning)
-        commands = makes.step(r, math.nan)
-        assert commands == given.step(r, math.nan if lost else y), tick
-    assert np.abs(commands).max() > 0.0
 
 
 def test_a_wrong_sensor_is_a_wrong_output() -> None:

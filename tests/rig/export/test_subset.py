@@ -289,6 +289,30 @@ def test_a_field_that_is_declared_wrongly_is_refused(
 
 
 @pytest.mark.parametrize(
+    ("kind", "line", "said"),
+    [
+        ("Other", 4, r"lines\.Other\.wrong: must not contain Other, which contains it"),
+        ("Unknown", 2, r"name 'Unknown' is not defined"),
+    ],
+)
+def test_a_struct_of_itself_or_of_nothing_is_refused(
+    translate: Translate, kind: str, line: int, said: str
+) -> None:
+    text = f"""
+        class Other(Struct):
+            right: Annotated[float, "1", "a number"]
+            wrong: Annotated["{kind}", "1", "a struct"]
+
+        @firmware
+        def f(state: State, x: float) -> None:
+            pass
+        """
+    where = rf"lines\.py:{HEADER.count(chr(10)) + line}: {said}"
+    with pytest.raises(ExportError, match=where):
+        translate(text)
+
+
+@pytest.mark.parametrize(
     ("signature", "body", "what"),
     [
         ("f(state: State, x: float = 1.0)", "pass", "must have parameters by position only"),

@@ -27,52 +27,28 @@ E = [0.3, -2.0, 1.0]
 STATE_SPACE = (f"plant.a={A}", f"plant.b={B}", f"plant.c={C}")
 
 
-def pushed(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
-    """The push at each tick, and the output of the plant without commands."""
+def pushed(scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The push at each tick; output and reading of the plant without commands."""
     plant, push = plant_of(scenario), Disturbances(scenario).at(range(TICKS + 1))[:, 0]
-    output = [0.0]
+    found = [(0.0, 0.0)]
     for tick in range(TICKS):
         assert plant.report(0.0, 0.0, 1.0, 1.0)["push"] == push[tick]
-        output.append(plant.follow(0.0, 0.0, 1.0, 1.0)[0])
+        found.append(plant.follow(0.0, 0.0, 1.0, 1.0))
     assert np.abs(push).max() > 0.3
-    return push, np.array(output)
-
-
-def expected(system: signal.lti, push: FloatArray, tick_s: float) -> FloatArray:
-    """The response to straight lines between the ticks."""
-    time_s = tick_s * np.arange(len(push))
-    answer: FloatArray = signal.lsim(system, push, time_s, interp=True)[1]
-    return answer
-
-
-@pytest.mark.parametrize(
-    ("name", "settings", "system"),
-    [
-        ("two-masses", (*STATE_SPACE, f"plant.e={E}"), (A, np.c_[E], np.atleast_2d(C), [[0.0]])),
-        ("chapter-2", ("plant.gw={num=[4, 1], den=[1, 3, 8, 2]}",), ([4, 1], [1, 3, 8, 2])),
-        ("satellite", ("plant.gw={num=[0.5, 2], den=[1, 2, 0, 0]}",), ([0.5, 2], [1, 2, 0, 0])),
-        ("satellite", ("plant.gw={num=[3], den=[1, 2]}",), ([3], [1, 2])),
-    ],
-)
-def test_a_push_on_a_plant_by_numbers_is_that_of_its_column(
-    name: str, settings: tuple[str, ...], system: tuple[object, ...]
-) -> None:
-    scenario = load(name, [PUSH, "fault.kind=none", *settings])
-    push, output = pushed(scenario)
-    right = expected(signal.lti(*system), push, scenario.tick_s)
-    assert np.abs(output - right).max() <= 1e-9 * np.abs(right).max()
+    output, reading = np.array(found).T
+    return push, output, reading
 
 
 def test_a_push_passes_the_sensor_s_filter() -> None:
     settings = [PUSH, "fault.kind=none", *STATE_SPACE, f"plant.e={E}", "plant.sensor.corner_hz=30"]
     scenario = load("two-masses", [*settings, "design.alpha=3", "design.alpha_q=3"])
-    plant, push = plant_of(scenario), Disturbances(scenario).at(range(TICKS + 1))[:, 0]
-    read = np.array([0.0, *(plant.follow(0.0, 0.0, 1.0, 1.0)[1] for _ in range(TICKS))])
+    push, _, reading = pushed(scenario)
     corner = 2 * np.pi * 30
     filtered = np.block([[np.array(A), np.zeros((3, 1))], [corner * np.array([C]), -corner]])
     system = signal.lti(filtered, np.c_[[*E, 0.0]], [[0.0, 0.0, 0.0, 1.0]], [[0.0]])
-    right = expected(system, push, scenario.tick_s)
-    assert np.abs(read - right).max() <= 1e-9 * np.abs(right).max()
+    time_s = scenario.tick_s * np.arange(TICKS + 1)
+    right = signal.lsim(system, push, time_s, interp=True)[1]
+    assert np.abs(reading - right).max() <= 1e-9 * np.abs(right).max()
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
@@ -89,7 +65,7 @@ def test_an_fmu_is_pushed_through_an_input_with_the_mean_of_each_tick(
             *(f"plant.variables.{key}={name}" for key, name in names.items()),
         ],
     )  # fmt: skip
-    push, output = pushed(scenario)
+    push, output, _ = pushed(scenario)
     both = np.zeros((4, 4))
     both[:3, :3], both[:3, 3] = A, E
     step, x, right = linalg.expm(scenario.tick_s * both), np.zeros(4), [0.0]
