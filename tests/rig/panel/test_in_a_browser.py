@@ -46,6 +46,14 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     expect(page.locator("#fault_state")).to_have_class(re.compile("warn"))
     expect(page.locator("#verdict")).to_have_text(re.compile("lost"), timeout=PATIENCE_MS)
     expect(page.locator("#verdict")).to_have_class(re.compile("warn"))
+    expect(page.locator("#events")).to_contain_text("fault state: confirmed")
+    expect(page.locator("#events")).to_contain_text(re.compile("whose fault: steering torque"))
+    marked = page.evaluate("charts.marks.map((each) => [each.text || each.kind, each.time_s])")
+    (died,), (confirmed,) = (
+        [time_s for text, time_s in marked if text == said]
+        for said in ("actuator-dead", "fault state: confirmed")
+    )
+    assert 0.0 < confirmed - died < 0.2  # the delay is read off
     ink = (
         page.locator("#charts canvas")
         .nth(3)
