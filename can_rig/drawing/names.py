@@ -62,6 +62,9 @@ OUTPUTS: Final = {
     each: f"output {number}" for number, each in enumerate(MEASURED[: -len(ECHOES)], start=2)
 }
 """Names of the further outputs of a plant other than a car, by their sensors."""
+OUTPUT_COLUMNS: Final = {
+    USUAL[each].column: f"measured_{name.replace(' ', '_')}" for each, name in OUTPUTS.items()
+}
 BY_NUMBERS: Final = ("output y", "input 1", "input 2")
 """Names of signals that the scenario leaves unnamed."""
 
@@ -229,8 +232,7 @@ def column_names(plant: PlantSettings, further: Container[str] = ()) -> dict[str
     signals = names_of(plant)
     endings = [OF_CAR[each][1] if each in OF_CAR else _ending(each.unit) for each in signals]
     stems = [OF_CAR[each][0] if each in OF_CAR else _word(each.name) for each in signals]
-    said = {} if plant.is_car else OUTPUTS
-    outputs = {USUAL[each].column: f"measured_{_word(said[each])}" for each in said}
+    outputs = {} if plant.is_car else OUTPUT_COLUMNS
     names = _columns(stems, endings) | outputs
     others = set(TAKEN) - set(names)
     if not all(stems) or len({*names.values()} - others) < len(names):

@@ -14,6 +14,7 @@ import numpy as np
 
 from can_rig.scenario.disturbance_settings import PUSH, DisturbanceSettings
 from can_rig.scenario.driving import WORLD_COLUMNS, SpeedProfile, speed_profile
+from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.changing_plant import FRONT_FRICTION, REAR_FRICTION, WORLD_ROW
 from firmware_model.compiled import compiled
@@ -25,7 +26,15 @@ FORCE, MOMENT, BANK, KICK = range(4)
 BLOCK: Final = 4096
 """Ticks of a page, and of turbulence with a random generator of its own."""
 
+AT: Final = {**{name: at for at, name in enumerate(WORLD_COLUMNS)}, PUSH: FORCE}
+"""The place of each input in a row of the world."""
+
 CALM: Final[FloatArray] = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0])
+
+
+def inputs_of(settings: PlantSettings) -> list[str]:
+    """The inputs of an FMU by which the world pushes, of those in ``AT``."""
+    return [each for each in AT if each in settings.variables]
 
 
 class Disturbances:
@@ -59,7 +68,7 @@ class Disturbances:
     def report(self, tick: int) -> dict[str, float]:
         """The world at ``tick``, by column."""
         now = self.during(tick)[0].tolist()
-        return dict(zip(WORLD_COLUMNS, now, strict=True)) if self._is_car else {PUSH: now[FORCE]}
+        return dict(zip(WORLD_COLUMNS, now, strict=True)) if self._is_car else {PUSH: now[AT[PUSH]]}
 
     def at(self, ticks: range) -> FloatArray:
         """(len(ticks), ``WORLD_ROW``), the world at consecutive ``ticks`` from 0 on.
@@ -76,7 +85,7 @@ class Disturbances:
                 rows[:, FORCE] += force
                 rows[:, MOMENT] += (each.arm_m or 0.0) * force
             elif each.kind == PUSH:
-                rows[:, FORCE] += (each.size or 0.0) * share
+                rows[:, AT[PUSH]] += (each.size or 0.0) * share
             elif each.kind == "bank":
                 rows[:, BANK] += math.atan((each.bank_percent or 0.0) / 100.0) * share
             elif each.kind == "steering-kick":
@@ -96,7 +105,7 @@ class Disturbances:
 def _bring(drive: SpeedProfile, time_s: FloatArray, rows: FloatArray) -> None:
     """Add the world of a recorded drive at ``time_s`` to ``rows``."""
     for name in drive.world:
-        place, values = WORLD_COLUMNS.index(name), drive.world_at(name, time_s)
+        place, values = AT[name], drive.world_at(name, time_s)
         if place in (FRONT_FRICTION, REAR_FRICTION):
             rows[:, place] *= values
         else:

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 from can_rig.errors import ScenarioError
 from can_rig.fmu.file import Description, Request, describe
 from can_rig.fmu.instance import FmuError, Instance, stepping
-from can_rig.plant.disturbances import CALM
-from can_rig.scenario.disturbance_settings import PUSH
+from can_rig.plant.disturbances import AT, CALM, inputs_of
 from can_rig.scenario.driving import WORLD_COLUMNS
 from can_rig.scenario.plant_settings import SIGNALS, PlantSettings
 from firmware_model.law.structs import FloatArray
-
-_AT: Final = {**{name: at for at, name in enumerate(WORLD_COLUMNS)}, PUSH: 0}
-"""The place of each input in a row of the world."""
 
 
 def load_fmu(settings: PlantSettings) -> FmuPlant:
@@ -24,27 +19,23 @@ def load_fmu(settings: PlantSettings) -> FmuPlant:
     Raises:
         ScenarioError: no FMU, a failing start, or a name unknown to the FMU.
     """
+    pushed = inputs_of(settings)
     description = describe(
         Request(
             "plant",
             settings.kind,
             settings.variables,
             settings.parameters,
-            inputs=(*SIGNALS[:2], *_pushed(settings)),
+            inputs=(*SIGNALS[:2], *pushed),
             outputs=SIGNALS[2:],
             fmi_type=settings.fmi_type,
             at_rest=dict(zip(WORLD_COLUMNS, CALM.tolist(), strict=True)),
         )
     )
     try:
-        return FmuPlant(description, _pushed(settings))
+        return FmuPlant(description, pushed)
     except FmuError as error:
         raise ScenarioError(f"plant.kind = {settings.kind!r}: does not start: {error}") from None
-
-
-def _pushed(settings: PlantSettings) -> list[str]:
-    """The inputs of the FMU by which the world pushes."""
-    return [each for each in (*WORLD_COLUMNS, PUSH) if each in settings.variables]
 
 
 class FmuPlant:
@@ -52,7 +43,7 @@ class FmuPlant:
 
     Args:
         description: of the FMU.
-        pushed: the inputs behind both commands, by ``WORLD_COLUMNS`` and ``PUSH``.
+        pushed: the inputs behind both commands, of ``disturbances.AT``.
 
     Raises:
         FmuError: see ``Instance``.
@@ -60,8 +51,8 @@ class FmuPlant:
 
     def __init__(self, description: Description, pushed: Sequence[str] = ()) -> None:
         self._description = description
-        self._columns = [_AT[each] for each in pushed]
-        self._calm = [*CALM[self._columns].tolist()]
+        self._columns = [AT[each] for each in pushed]
+        self._calm = CALM[self._columns].tolist()
         self.reset()
 
     def reset(self) -> None:

@@ -25,8 +25,8 @@ from typing import Protocol, runtime_checkable
 
 from can_rig.errors import RigError, ScenarioError, require
 from can_rig.logs.columns import TAKEN
-from can_rig.scenario.disturbance_settings import PUSH, DisturbanceSettings
-from can_rig.scenario.driving import WORLD_COLUMNS
+from can_rig.plant.disturbances import inputs_of
+from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.own_class import as_float, failure, find_class, guard, require_signature
 from can_rig.scenario.plant_settings import PUSHED_BY, PlantSettings
 from can_rig.scenario.sensor_settings import USUAL
@@ -138,7 +138,7 @@ def is_pushable(settings: PlantSettings) -> bool:
     """Whether the world can push the plant at all."""
     key = PUSHED_BY.get(settings.kind)
     if settings.is_fmu:
-        return any(column in settings.variables for column in (*WORLD_COLUMNS, PUSH))
+        return bool(inputs_of(settings))
     if settings.is_class:
         try:
             require_world(settings, ())

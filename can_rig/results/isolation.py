@@ -110,7 +110,8 @@ def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Sign
 
     The status frame carries the verdict, without room for the evidence. The law answers the same
     inputs with the same bits, so a second run of the law gives the evidence, and the verdict where
-    the frame lacks one. In a tick without inputs the law waits, and the verdict stays.
+    the frame lacks one. In a tick without inputs the law waits, and the verdict stays. The D* of a
+    car without a sensor of D* is the controller's.
 
     Raises:
         ScenarioError: the design fails.

@@ -241,8 +241,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
     sensor, lsb, lsb_1, lsb_2 = scenario.model.sensor, 0.0, 0.0, 0.0
     noise, step = sensor.noise_mps2, sensor.resolution_mps2
     if sensor.is_made:
-        found = {each.measures: each for each in scenario.sensors}
-        noise, step = made_noise(scenario.model, found[YAW_RATE], found[LATERAL_ACCELERATION])
+        noise, step = made_noise(scenario.model, scenario.sensors)
     if network is not None:
         command_1, command_2 = network.command_1, network.command_2
         limit_1, limit_2 = min(limit_1, command_1.maximum), min(limit_2, command_2.maximum)
@@ -298,7 +297,7 @@ def _witness(scenario: Scenario) -> Witness | None:
     turning, lateral = found[YAW_RATE], found[LATERAL_ACCELERATION]
     model = scenario.model
     weight, speed = model.lateral_weight, model.speed_mps
-    noise_rms = math.hypot(*made_noise(model, turning, lateral))
+    noise_rms = math.hypot(*made_noise(model, scenario.sensors))
     lag_s = (1.0 - weight) * turning.lag_s + weight * lateral.lag_s
     keys, _ = uncertain_keys(scenario)
     measured = scenario.drive.is_given or bool(scenario.network.signals.speed)

@@ -673,10 +673,10 @@ def _refuse_sensors(scenario: Scenario) -> None:
             raise ValueError(f"{where}.{error}") from None
 
 
-def made_noise(
-    car: PlantSettings, turning: FurtherSensor, lateral: FurtherSensor
-) -> tuple[float, float]:
-    """Rms of the noise, and the step, of d a + (1 - d) V γ (3.8), m/s²."""
+def made_noise(car: PlantSettings, sensors: tuple[FurtherSensor, ...]) -> tuple[float, float]:
+    """Rms of the noise, and the step, of d a + (1 - d) V γ (3.8), m/s²; of both ``sensors``."""
+    found = {each.measures: each for each in sensors}
+    turning, lateral = found[YAW_RATE], found[LATERAL_ACCELERATION]
     factors = (1.0 - car.lateral_weight) * car.speed_mps, car.lateral_weight
     return (
         math.hypot(factors[0] * turning.noise_rms, factors[1] * lateral.noise_rms),
@@ -687,8 +687,7 @@ def made_noise(
 def _refuse_made(scenario: Scenario) -> None:
     """Refuse what a D* made of two sensors cannot be, and a ``plant.sensor`` of other numbers."""
     key, found = "plant.sensor.is_made", {each.measures: each for each in scenario.sensor}
-    pair = [found.get(each) for each in (YAW_RATE, LATERAL_ACCELERATION)]
-    turning, lateral = pair
+    turning, lateral = found.get(YAW_RATE), found.get(LATERAL_ACCELERATION)
     if scenario.model.sensor.is_made != scenario.plant.sensor.is_made:
         raise ValueError("model.sensor.is_made: must be left to plant.sensor.is_made")
     if not scenario.plant.is_car or turning is None or lateral is None:

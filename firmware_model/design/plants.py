@@ -150,10 +150,8 @@ class Plant:
         b = np.zeros((k1 + len(a2), 2))
         b[:k, 0], b[k:k1, 0] = first.residues, b1
         b[:k, 1], b[k1:, 1] = second.residues, b2
-        a, c = (
-            linalg.block_diag(companion(poles), a1, a2),
-            np.concatenate([np.eye(1, k)[0], c1, c2]),
-        )
+        a = linalg.block_diag(companion(poles), a1, a2)
+        c = np.concatenate([np.eye(1, k)[0], c1, c2])
         if gw is None:
             return cls(name, a, b, c[np.newaxis], g1, g2)
         gw = with_poles_of(gw, poles)

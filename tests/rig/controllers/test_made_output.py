@@ -76,7 +76,7 @@ def test_what_the_pictures_show_is_what_the_frames_of_both_sensors_make(tmp_path
 
 
 def test_a_wrong_sensor_is_a_wrong_output() -> None:
-    """Both sensors of one car: nothing can tell a bias of one of them from a lost actuator."""
+    """Both sensors of one car: a bias of either sensor and a lost actuator look alike."""
     fault = "fault={kind='sensor-biased', channel='yaw-rate', at_s=2, offset=0.05}"
     scenario = made(fault)
     trace = frameless(scenario, network_of(scenario))

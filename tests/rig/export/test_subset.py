@@ -266,42 +266,33 @@ def test_what_is_outside_is_refused(translate: Translate, line: str) -> None:
     assert "\n" not in str(refused.value)
 
 
+NOT_A_FIELD = r"lines\.Other\.wrong: must be Annotated\["
+OF_ITSELF = r"lines\.Other\.wrong: must not contain Other, which contains it"
+
+
 @pytest.mark.parametrize(
-    "declaration",
-    ["float", 'Annotated[complex, "1", "a"]', 'Annotated[float, "1", "a", (0, 4)]',
-     'Annotated[int, "1", "a", (4, 0)]', 'Annotated[FloatArray, "1", "a", (0,)]'],
-)  # fmt: skip
+    ("declaration", "line", "said"),
+    [
+        ("float", 4, NOT_A_FIELD),
+        ('Annotated[complex, "1", "a"]', 4, NOT_A_FIELD),
+        ('Annotated[float, "1", "a", (0, 4)]', 4, NOT_A_FIELD),
+        ('Annotated[int, "1", "a", (4, 0)]', 4, NOT_A_FIELD),
+        ('Annotated[FloatArray, "1", "a", (0,)]', 4, NOT_A_FIELD),
+        (
+            'Annotated["Other", "1", "a"]',
+            4,
+            r"lines\.Other\.wrong: must not contain Other, which contains it",
+        ),
+        ('Annotated["Unknown", "1", "a"]', 2, r"name 'Unknown' is not defined"),
+    ],
+)
 def test_a_field_that_is_declared_wrongly_is_refused(
-    translate: Translate, declaration: str
+    translate: Translate, declaration: str, line: int, said: str
 ) -> None:
     text = f"""
         class Other(Struct):
             right: Annotated[float, "1", "a number"]
             wrong: {declaration}
-
-        @firmware
-        def f(state: State, x: float) -> None:
-            pass
-        """
-    where = rf"lines\.py:{HEADER.count(chr(10)) + 4}: lines\.Other\.wrong: must be Annotated\["
-    with pytest.raises(ExportError, match=where):
-        translate(text)
-
-
-@pytest.mark.parametrize(
-    ("kind", "line", "said"),
-    [
-        ("Other", 4, r"lines\.Other\.wrong: must not contain Other, which contains it"),
-        ("Unknown", 2, r"name 'Unknown' is not defined"),
-    ],
-)
-def test_a_struct_of_itself_or_of_nothing_is_refused(
-    translate: Translate, kind: str, line: int, said: str
-) -> None:
-    text = f"""
-        class Other(Struct):
-            right: Annotated[float, "1", "a number"]
-            wrong: Annotated["{kind}", "1", "a struct"]
 
         @firmware
         def f(state: State, x: float) -> None:
