@@ -135,10 +135,7 @@ def write_gallery(folder: Path, chosen: dict[str, Path]) -> None:
         f"| [![{name}]({name}/{OUTPUT}){{ width=420 }}]({name}.md) | [{name}]({name}.md): {words} |"
         for name, words in zip(chosen, described, strict=True)
     ]
-    head = [
-        "# Gallery\n\nEach shipped scenario with its own run.\n",
-        "| output | what it shows |",
-    ]
+    head = ["# Gallery\n\nEach shipped scenario with its own run.\n", "| output | what it shows |"]
     (folder / "index.md").write_text("\n".join([*head, "|---|---|", *cells, ""]), "utf-8")
 
 

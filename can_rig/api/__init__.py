@@ -29,8 +29,7 @@ from can_rig.assessment.frame_length import FrameError
 from can_rig.assessment.speeds import check as check_speeds
 from can_rig.assessment.stability import StabilityCheck
 from can_rig.assessment.tuning.candidate import cars_of
-from can_rig.assessment.tuning.search import Tunings
-from can_rig.assessment.tuning.search import tune as search
+from can_rig.assessment.tuning.search import Tunings, tune as search
 from can_rig.campaigns.execution import execute, open_folder
 from can_rig.campaigns.plan import plan
 from can_rig.campaigns.report import write_report
@@ -43,18 +42,15 @@ from can_rig.files import atomic
 from can_rig.logs.frames import window_of
 from can_rig.logs.reading import read_log
 from can_rig.replaying.estimator import Replayed, replay_drive, write
-from can_rig.replaying.replay import Comparison as OpenLoopComparison
-from can_rig.replaying.replay import OpenLoop
+from can_rig.replaying.replay import Comparison as OpenLoopComparison, OpenLoop
 from can_rig.replaying.rig_frames import recorded
 from can_rig.results.source import Source, log_path, source_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.from_python import kind_of, settings_of
 from can_rig.scenario.loading import Changes, written_by
 from can_rig.scenario.settings import Scenario
-from can_rig.views.controllers_compared import CASES, Comparison
-from can_rig.views.controllers_compared import compare as compare_controllers
-from can_rig.views.diff import Difference
-from can_rig.views.diff import compare as difference_of
+from can_rig.views.controllers_compared import CASES, Comparison, compare as compare_controllers
+from can_rig.views.diff import Difference, compare as difference_of
 from can_rig.views.log_statistics import LogStatistics
 from can_rig.views.recorded_run import RecordedRun, record
 from can_rig.views.signal_table import SignalTable, read_table

@@ -118,9 +118,7 @@ def utilisation(
 
 
 def response_times(
-    frames: Sequence[PeriodicFrame],
-    bitrate: int,
-    data_bitrate: int | None = None,
+    frames: Sequence[PeriodicFrame], bitrate: int, data_bitrate: int | None = None
 ) -> list[Response]:
     """The worst-case response of each frame, in order of priority.
 

@@ -270,10 +270,7 @@ def found_by(plan: Plan, columns: Columns) -> list[Found]:
     if not plan.searched:
         return []
     margins = columns[margin_column(plan)]
-    return [
-        found(SEARCH, margins[: plan.searched]),
-        found(RANDOM, margins[plan.searched :]),
-    ]
+    return [found(SEARCH, margins[: plan.searched]), found(RANDOM, margins[plan.searched :])]
 
 
 def margin_column(plan: Plan) -> str:

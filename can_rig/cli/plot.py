@@ -30,12 +30,7 @@ from can_rig.views.signal_table import scenario_of
     help="The picture, FILE.png, .svg or .pdf.  [default: the log's name, .png]",
 )
 @force_option
-def command(
-    asked: Asked,
-    signals: tuple[str, ...],
-    out: Path | None,
-    force: bool,
-) -> None:
+def command(asked: Asked, signals: tuple[str, ...], out: Path | None, force: bool) -> None:
     """Draw SIGNALs of LOG: MESSAGE.Signal, or Signal if a single message has it."""
     out = out or Path(f"{_bare(asked.path)}.png")
     refuse_picture(out, force)

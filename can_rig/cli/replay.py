@@ -246,10 +246,7 @@ def _all_gaps(path: Path | None, force: bool) -> Iterator[Callable[[list[Gap]], 
     if path is None:
         yield lambda gaps: None
         return
-    with (
-        atomic(path, force=force) as part,
-        part.open("w", encoding="utf-8", newline="") as file,
-    ):
+    with atomic(path, force=force) as part, part.open("w", encoding="utf-8", newline="") as file:
         yield lambda gaps: write_gaps(file, gaps)
 
 
@@ -512,12 +509,7 @@ def _speed_of(text: str) -> Fraction | None:
 
 
 def _pace(
-    path: Path,
-    bus: str,
-    speed: Fraction | None,
-    channel: str | None,
-    window: Window,
-    as_json: bool,
+    path: Path, bus: str, speed: Fraction | None, channel: str | None, window: Window, as_json: bool
 ) -> int:
     """Put every frame of the log on the bus, for other programs to see; returns the exit status.
 

@@ -9,13 +9,7 @@ import click
 
 from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.candidate import NoTuningError, cars_of, refusals_as_dict
-from can_rig.assessment.tuning.report import (
-    as_dict,
-    headings,
-    options,
-    rows,
-    why,
-)
+from can_rig.assessment.tuning.report import as_dict, headings, options, rows, why
 from can_rig.assessment.tuning.search import Tunings, tune
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import json_line, progress, say, show, table

@@ -23,8 +23,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from cantools.database.can import Database
-from cantools.database.can import Message as DbcMessage
+from cantools.database.can import Database, Message as DbcMessage
 from numpy.typing import NDArray
 
 from can_rig import paged

@@ -17,8 +17,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from cantools.database.can import Message as DbcMessage
-from cantools.database.can import Signal
+from cantools.database.can import Message as DbcMessage, Signal
 from cantools.database.conversion import BaseConversion, LinearIntegerConversion
 from numpy.typing import NDArray
 

@@ -679,8 +679,7 @@ class Names:
         """The enumerator called ``found``, if any."""
         match home.assignments[found]:
             case ast.Call(
-                func=ast.Name(id="int"),
-                args=[ast.Attribute(value=ast.Name(id=enum), attr=member)],
+                func=ast.Name(id="int"), args=[ast.Attribute(value=ast.Name(id=enum), attr=member)]
             ):
                 declared = home.lookup(enum)
                 module = self._sources.module(declared.__module__)

@@ -482,9 +482,7 @@ def _field(target: ast.Attribute, typed: Typed) -> Key:
     return ("field", owner.struct.tag if isinstance(owner, Record) else "", target.attr)
 
 
-def _pairs(
-    node: ast.Assign | ast.AnnAssign | ast.AugAssign,
-) -> Iterator[tuple[ast.expr, ast.expr]]:
+def _pairs(node: ast.Assign | ast.AnnAssign | ast.AugAssign) -> Iterator[tuple[ast.expr, ast.expr]]:
     """Each target of an assignment, with its value or the call that gives all values."""
     if not isinstance(node, ast.Assign):
         if node.value is not None:

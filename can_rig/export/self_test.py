@@ -19,8 +19,7 @@ from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.firmware import PYTHON_LAW, fingerprint
 from firmware_model.law.core.biquad import advance, at_rest, output
 from firmware_model.law.layout import State, Table, precision_of
-from firmware_model.law.schedule import Constants
-from firmware_model.law.schedule import State as Blending
+from firmware_model.law.schedule import Constants, State as Blending
 from firmware_model.law.status import FaultState, Mode, Verdict
 from firmware_model.law.structs import (
     FloatArray,

@@ -21,15 +21,7 @@ import can
 import numpy as np
 
 from can_rig.errors import ExportError
-from can_rig.export.boards import (
-    COUNT,
-    LONGEST_S,
-    RESTART,
-    SURVIVE,
-    frame_order,
-    order,
-    time_order,
-)
+from can_rig.export.boards import COUNT, LONGEST_S, RESTART, SURVIVE, frame_order, order, time_order
 from can_rig.export.law import parts_of, support
 from can_rig.export.network_code import frame_bytes
 from can_rig.frames.codec import Transmitter
@@ -39,8 +31,7 @@ from firmware_model.firmware import PYTHON_LAW, Law
 from firmware_model.law.core.biquad import output
 from firmware_model.law.layout import State, Table, precision_of
 from firmware_model.law.monitor import COMPENSATION_OFF, SWINGING
-from firmware_model.law.schedule import MAX_SPEEDS, Constants
-from firmware_model.law.schedule import State as BlendState
+from firmware_model.law.schedule import MAX_SPEEDS, Constants, State as BlendState
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import (
     MAX_LATENCY_TICKS,

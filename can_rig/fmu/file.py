@@ -183,8 +183,7 @@ def _refuse_other_machines(
     folders = sorted({part[1] for part in parts if part[0] == "binaries" and len(part) > 2})
     there = f"it has binaries for {', '.join(folders)}" if folders else "it has no binaries"
     raise _refused(
-        request,
-        f"must have {library}, and {there}; `fmpy compile` makes it of an FMU's sources",
+        request, f"must have {library}, and {there}; `fmpy compile` makes it of an FMU's sources"
     )
 
 

@@ -585,12 +585,7 @@ class Transmitter:
         self._protector = None if codec.data_id is None else Protector(codec.data_id)
 
     def frame(
-        self,
-        value: float,
-        tick: int,
-        mode: int = 0,
-        fault_state: int = 0,
-        verdict: int = 0,
+        self, value: float, tick: int, mode: int = 0, fault_state: int = 0, verdict: int = 0
     ) -> Message:
         """The next frame, ready to send; for the arguments see `MessageCodec.encode`."""
         codec = self.codec

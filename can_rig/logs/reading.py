@@ -33,16 +33,7 @@ from can_rig.logs.formats.vector_ascii import VECTOR_ASCII
 from can_rig.logs.formats.vector_binary import VECTOR_BINARY
 from can_rig.logs.frames import ALL, Format, Log, Window
 
-FORMATS: Final = (
-    CANDUMP,
-    VECTOR_ASCII,
-    VECTOR_BINARY,
-    PEAK,
-    MDF,
-    SAVVYCAN,
-    MICROCHIP,
-    BUSMASTER,
-)
+FORMATS: Final = (CANDUMP, VECTOR_ASCII, VECTOR_BINARY, PEAK, MDF, SAVVYCAN, MICROCHIP, BUSMASTER)
 """The first format with a fitting mark reads a file."""
 
 WRITTEN: Final = {each.key: each for each in FORMATS if each.write}

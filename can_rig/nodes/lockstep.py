@@ -33,13 +33,7 @@ from can_rig.errors import ExportError, ScenarioError
 from can_rig.frames.codec import WIRE_TICKS, Receiver, Record, tick_from, ticks_ahead
 from can_rig.frames.network import Network, flagged, unflagged
 from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Clock, NodeBus, Send, Watchdog
-from can_rig.nodes.ends import (
-    COMMANDS,
-    ControllerEnd,
-    PlantEnd,
-    Rejected,
-    all_rejected,
-)
+from can_rig.nodes.ends import COMMANDS, ControllerEnd, PlantEnd, Rejected, all_rejected
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.recording import PlantRecorder, Recorder
 from can_rig.nodes.run_control import FollowedFaults, RunControl

@@ -26,12 +26,7 @@ from can_rig.errors import RigError, SilentNodeError, one_line
 from can_rig.nodes.agreement import is_shared
 from can_rig.nodes.bursts import warm_up
 from can_rig.nodes.bus_access import OnTick, Progress, StopRequest, Throttled, no_progress
-from can_rig.nodes.runner import (
-    NodeName,
-    RunOptions,
-    run_controller,
-    run_plant,
-)
+from can_rig.nodes.runner import NodeName, RunOptions, run_controller, run_plant
 from can_rig.nodes.scheduling import one_core
 from can_rig.nodes.ticks import NodeSummary, without_garbage_pauses
 from can_rig.scenario.settings import Scenario

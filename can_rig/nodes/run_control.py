@@ -41,12 +41,7 @@ class RunControl:
     """
 
     def __init__(
-        self,
-        interaction: Interaction,
-        scenario: Scenario,
-        end: PlantEnd,
-        send: Send,
-        clock: Clock,
+        self, interaction: Interaction, scenario: Scenario, end: PlantEnd, send: Send, clock: Clock
     ) -> None:
         self._interaction = interaction
         self._injection = Injection(scenario)

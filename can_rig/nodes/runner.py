@@ -161,10 +161,7 @@ def run_controller(
     assert controller is not None
     if options.real_time:
         warm_up(scenario, network, in_real_time(controller))
-    with (
-        _open(bus_name, scenario, "controller", False, options) as opened,
-        ExitStack() as stack,
-    ):
+    with _open(bus_name, scenario, "controller", False, options) as opened, ExitStack() as stack:
         if isinstance(opened, Agreement) and not (options.real_time or opened.settled):
             opened.listen((network.command_1, network.command_2, network.status))
         access = _access(opened, options)

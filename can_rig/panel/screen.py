@@ -119,10 +119,7 @@ class Screen:
     """
 
     def __init__(
-        self,
-        session: Session,
-        scenarios: list[str],
-        open_session: Callable[[str], Session],
+        self, session: Session, scenarios: list[str], open_session: Callable[[str], Session]
     ) -> None:
         self.session = session
         self.scenarios = scenarios

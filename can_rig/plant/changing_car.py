@@ -164,13 +164,7 @@ class ChangingCar:
         self._car.moved(output)
         return output, read
 
-    def _read(
-        self,
-        command_1: float,
-        command_2: float,
-        left_1: float,
-        left_2: float,
-    ) -> None:
+    def _read(self, command_1: float, command_2: float, left_1: float, left_2: float) -> None:
         """Read the further sensors at this tick; the commands are those of the tick before."""
         if len(self.witnesses):
             acted = self._car.acted(command_1, command_2, left_1, left_2)

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from can_rig.controllers.making import peer_of
-from can_rig.controllers.protocol import NO_WITNESSES, said
-from can_rig.controllers.protocol import Inputs as ControllerInputs
+from can_rig.controllers.protocol import NO_WITNESSES, Inputs as ControllerInputs, said
 from can_rig.errors import RigError, ScenarioError
 from can_rig.frames.codec import NO_DECISION
 from can_rig.frames.frame_columns import quantised
@@ -160,10 +159,7 @@ def with_replaced(rows: FloatArray, delivered: Delivery, ticks: int) -> FloatArr
 
 
 def frameless(
-    scenario: Scenario,
-    network: Network,
-    of: Scheduled | None = None,
-    inputs: Inputs | None = None,
+    scenario: Scenario, network: Network, of: Scheduled | None = None, inputs: Inputs | None = None
 ) -> Trace:
     """Run ``scenario`` without a bus; round every signal like its frame on ``network``.
 
@@ -198,10 +194,7 @@ def controller_inputs(scenario: Scenario) -> FloatArray:
 
 
 def frameless_loop(
-    scenario: Scenario,
-    network: Network,
-    of: Scheduled | None = None,
-    inputs: Inputs | None = None,
+    scenario: Scenario, network: Network, of: Scheduled | None = None, inputs: Inputs | None = None
 ) -> Simulation:
     """The loop of ``frameless`` at rest, for a run of any length.
 

@@ -112,11 +112,7 @@ class NonlinearCar:
     def signals(self) -> dict[str, float]:
         """β, γ and δ."""
         beta, yaw_rate, _, steer = self.state
-        return {
-            "side_slip_rad": beta,
-            "yaw_rate_rad_per_s": yaw_rate,
-            "steering_angle_rad": steer,
-        }
+        return {"side_slip_rad": beta, "yaw_rate_rad_per_s": yaw_rate, "steering_angle_rad": steer}
 
     def witnesses(self) -> dict[str, float]:
         """What further sensors read, by the names ``WITNESSES``."""

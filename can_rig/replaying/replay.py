@@ -386,9 +386,7 @@ class OpenLoop:
             self._open += 1
 
 
-def _with_following(
-    frames: Iterator[RigFrame],
-) -> Iterator[tuple[RigFrame, Iterable[RigFrame]]]:
+def _with_following(frames: Iterator[RigFrame]) -> Iterator[tuple[RigFrame, Iterable[RigFrame]]]:
     """Every frame with the frames behind."""
     window: deque[RigFrame] = deque(islice(frames, AHEAD))
     while window:

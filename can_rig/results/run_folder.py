@@ -120,10 +120,7 @@ def finish(
         **asdict(outcome),
         "ticks_per_s": outcome.ticks_per_s,
         "real_time_factor": outcome.ticks_per_s * scenario.tick_s,
-        "versions": {
-            "python": platform.python_version(),
-            **_versions(),
-        },
+        "versions": {"python": platform.python_version(), **_versions()},
     }
     if outcome.realtime is None:
         del summary["realtime"]

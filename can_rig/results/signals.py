@@ -14,14 +14,7 @@ from can import Message
 from can_rig import paged
 from can_rig.controllers.protocol import ages_of
 from can_rig.drawing.names import column_names
-from can_rig.frames.codec import (
-    NO_DECISION,
-    WIRE_TICKS,
-    Hearing,
-    Receiver,
-    tick_at,
-    ticks_ahead,
-)
+from can_rig.frames.codec import NO_DECISION, WIRE_TICKS, Hearing, Receiver, tick_at, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.logs.columns import ON_THE_BUS
 from can_rig.logs.frames import ERROR, REMOTE

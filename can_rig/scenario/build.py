@@ -17,12 +17,7 @@ from can_rig.scenario.box import in_box, uncertain, with_lags
 from can_rig.scenario.log_signals import OF_SENSORS, LogSignal, terms, unit_factor
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
-from can_rig.scenario.sensor_settings import (
-    ECHOES,
-    LATERAL_ACCELERATION,
-    YAW_RATE,
-    FurtherSensor,
-)
+from can_rig.scenario.sensor_settings import ECHOES, LATERAL_ACCELERATION, YAW_RATE, FurtherSensor
 from can_rig.scenario.settings import Scenario, made_noise
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind

@@ -6,12 +6,7 @@ from dataclasses import replace
 
 from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
-from can_rig.scenario.build import (
-    continuous_design,
-    other_plants,
-    target,
-    uncertain_keys,
-)
+from can_rig.scenario.build import continuous_design, other_plants, target, uncertain_keys
 from can_rig.scenario.driving import design_speeds, frozen
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario

@@ -136,6 +136,5 @@ def _from_csv(scenario: Scenario) -> FloatArray:
     if largest > most:
         raise ScenarioError(f"{where}: |reference_mps2| = {largest:g}: must be at most {most:g}")
     return paged.column(
-        scenario.ticks,
-        lambda rows: np.interp(_times_s(rows, scenario.tick_ns), times, references),
+        scenario.ticks, lambda rows: np.interp(_times_s(rows, scenario.tick_ns), times, references)
     )

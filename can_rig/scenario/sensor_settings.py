@@ -16,11 +16,7 @@ from pydantic.dataclasses import dataclass
 from can_rig.scenario.plant_settings import STRICT
 
 Measured = Literal[
-    "yaw-rate",
-    "lateral-acceleration",
-    "steering-angle",
-    "torque-echo",
-    "force-difference-echo",
+    "yaw-rate", "lateral-acceleration", "steering-angle", "torque-echo", "force-difference-echo"
 ]
 MEASURED: Final[tuple[Measured, ...]] = get_args(Measured)
 """What a sensor can measure, in the order of the frames; each word names its sensor."""

@@ -175,10 +175,7 @@ def margins(
 
 
 def margins_of(
-    law: LinearController,
-    plant: Plant,
-    tick_s: float,
-    effectiveness: tuple[float, float] = HEALTHY,
+    law: LinearController, plant: Plant, tick_s: float, effectiveness: tuple[float, float] = HEALTHY
 ) -> Margins:
     """The margins of a linear controller around ``plant``; see ``margins``."""
     loop = sampled_loop(law, plant, tick_s, effectiveness)

@@ -38,8 +38,7 @@ from firmware_model.analysis.sampled_plant import AnyPlant, SampledPlant, follow
 from firmware_model.analysis.world_loop import run_changing
 from firmware_model.law import controller as law
 from firmware_model.law.layout import State, Table, precision_of, table_type
-from firmware_model.law.schedule import Constants, change_first_speed
-from firmware_model.law.schedule import State as BlendState
+from firmware_model.law.schedule import Constants, State as BlendState, change_first_speed
 from firmware_model.law.structs import BoolArray, FloatArray, Records, copied, zeroed
 from firmware_model.law.supervision.further_sensors import hear_first
 from firmware_model.law.supervision.knowledge import saved_in

@@ -165,10 +165,7 @@ def tracking(g1: ZeroPoleGain, tau_q_s: float, alpha_q: int) -> Tracking:
 
 
 def _stabiliser(
-    inner: ZeroPoleGain,
-    found: Interpolation,
-    lags: tuple[complex, ...],
-    m: ZeroPoleGain,
+    inner: ZeroPoleGain, found: Interpolation, lags: tuple[complex, ...], m: ZeroPoleGain
 ) -> ZeroPoleGain:
     """R: of Π(s - p) - Π(s - p*) the powers of s that both have, the highest, cancel."""
     difference = (np.poly(m.zeros) - np.poly(m.poles)).real[1:]

@@ -104,12 +104,7 @@ class Plant:
 
     @classmethod
     def from_state_space(
-        cls,
-        name: str,
-        a: ArrayLike,
-        b: ArrayLike,
-        c: ArrayLike,
-        world: WorldInputs | None = None,
+        cls, name: str, a: ArrayLike, b: ArrayLike, c: ArrayLike, world: WorldInputs | None = None
     ) -> Self:
         """The plant of any ``a`` (n, n), ``b`` (n, 2), ``c`` (1, n); channels of order n.
 

@@ -31,13 +31,7 @@ from firmware_model.discretisation.systems import (
 from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import ParameterError
 from firmware_model.law.core import biquad
-from firmware_model.law.structs import (
-    MAX_SECTIONS,
-    FloatArray,
-    Precision,
-    Records,
-    zeroed,
-)
+from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Precision, Records, zeroed
 
 KEYWORDS: Final = """
     auto break case char const continue default do double else enum extern float for goto if inline

@@ -153,9 +153,7 @@ def energy_of(a: FloatArray, c: FloatArray) -> FloatArray:
     return energy
 
 
-def realisation(
-    sections: Sections,
-) -> tuple[FloatArray, FloatArray, FloatArray, float, list[int]]:
+def realisation(sections: Sections) -> tuple[FloatArray, FloatArray, FloatArray, float, list[int]]:
     """A, B, c, d of the cascade over the accumulators of ``biquad`` that ever leave zero."""
     size = 2 * len(sections.coefficients)
     a, b, c, d = np.zeros((size, size)), np.zeros(size), np.zeros(size), 1.0

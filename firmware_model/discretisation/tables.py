@@ -302,11 +302,7 @@ def _fill_filter(cascade: biquad.Constants | whitener.Constants, sections: Secti
 
 
 def _fill_loop(
-    table: Table,
-    design: ContinuousDesign,
-    target: Target,
-    filters: Filters,
-    dead: tuple[int, int],
+    table: Table, design: ContinuousDesign, target: Target, filters: Filters, dead: tuple[int, int]
 ) -> None:
     """Reference shaper, C, actuators."""
     closed = design.tracking is not None

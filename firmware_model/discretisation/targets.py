@@ -127,13 +127,7 @@ class Target:
             raise ParameterError(
                 f"latency_ticks = {self.latency_ticks}: must be 0 to {MAX_LATENCY_TICKS}"
             )
-        for name in (
-            "limit_1",
-            "limit_2",
-            "rate_1",
-            "rate_2",
-            "reference_acceleration",
-        ):
+        for name in ("limit_1", "limit_2", "rate_1", "rate_2", "reference_acceleration"):
             if not getattr(self, name) > 0.0:
                 raise ParameterError(f"{name} = {getattr(self, name):g}: must be above 0")
         for name in ("false_alarms_per_hour", "suspicions_per_hour"):

@@ -29,11 +29,7 @@ from typing import TYPE_CHECKING, Any
 from firmware_model.compiled import firmware
 from firmware_model.law.core.actuator import quantise, saturate
 from firmware_model.law.core.biquad import advance, settle
-from firmware_model.law.core.estimator import (
-    model_output,
-    settle_estimator,
-    take_measurement,
-)
+from firmware_model.law.core.estimator import model_output, settle_estimator, take_measurement
 from firmware_model.law.core.reference_shaper import start, tracked_reference
 from firmware_model.law.core.thesis import (
     MODE_BLIND,
@@ -44,11 +40,7 @@ from firmware_model.law.core.thesis import (
     end_tick,
     run_alone,
 )
-from firmware_model.law.core.tracking import (
-    missing_output,
-    settle_tracking,
-    track_on,
-)
+from firmware_model.law.core.tracking import missing_output, settle_tracking, track_on
 from firmware_model.law.layout import State, precision_of
 from firmware_model.law.monitor import COMPENSATION_OFF, clear_monitor, watch
 from firmware_model.law.precision import real
@@ -67,10 +59,7 @@ from firmware_model.law.supervision.decision import (
 )
 from firmware_model.law.supervision.echoes import advance_echoes, settle_echoes
 from firmware_model.law.supervision.knowledge import known_offset, recall_car, recall_loss, save
-from firmware_model.law.supervision.likelihood_ratio import (
-    advance_candidate,
-    start_candidate,
-)
+from firmware_model.law.supervision.likelihood_ratio import advance_candidate, start_candidate
 from firmware_model.law.supervision.loss_model import (
     advance_loss_model,
     clear_loss_model,
@@ -82,10 +71,7 @@ from firmware_model.law.supervision.mismatch import (
     learn_loss,
     settle_mismatch,
 )
-from firmware_model.law.supervision.other_cars import (
-    advance_other_cars,
-    settle_other_cars,
-)
+from firmware_model.law.supervision.other_cars import advance_other_cars, settle_other_cars
 from firmware_model.law.supervision.overflow import clear_memories, repair
 from firmware_model.law.supervision.prediction import (
     clear_prediction,

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 from scenario_keys import unit
 
-from can_rig.logs.columns import EVIDENCE, SPEED, VERDICT
-from can_rig.logs.columns import ON_THE_BUS as COLUMNS
+from can_rig.logs.columns import EVIDENCE, ON_THE_BUS as COLUMNS, SPEED, VERDICT
 from can_rig.plant.behind import plant_behind
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.sensor_settings import USUAL

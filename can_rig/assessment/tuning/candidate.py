@@ -223,10 +223,7 @@ class Refusal(StrEnum):
         """In the words of ``plant``."""
         _, first, second = names_of(plant)
         return str(self).format(
-            car=plant.noun,
-            first=first.short,
-            first_said=first.said,
-            second=second.short,
+            car=plant.noun, first=first.short, first_said=first.said, second=second.short
         )
 
 
@@ -408,10 +405,7 @@ def with_tuning(scenario: Scenario, values: Values) -> Scenario:
 
 
 def assess(
-    scenario: Scenario,
-    values: Values,
-    cars: Iterable[Car],
-    spare_ticks: int,
+    scenario: Scenario, values: Values, cars: Iterable[Car], spare_ticks: int
 ) -> Tuning | Refusal:
     """Steps 1 and 2 for one candidate: its tuning, or the failed test."""
     scenario, tick_s = with_tuning(scenario, values), scenario.tick_s

@@ -107,12 +107,7 @@ _FD_TYPES: Final = {
 _TYPES = {name: bits for bits, name in _FD_TYPES.items()} | {"RR": REMOTE, "RX": 0, "TX": SENT}
 _NAMES = np.array([ord(name[0]) << 8 | ord(name[1]) for name in _TYPES], np.int64)
 _BITS = np.array(list(_TYPES.values()), np.int64)
-_COLUMNS: Final = {
-    "1.0": "nOILD",
-    "1.1": "NOTILD",
-    "1.2": "NOBTILD",
-    "1.3": "NOBTIRLD",
-}
+_COLUMNS: Final = {"1.0": "nOILD", "1.1": "NOTILD", "1.2": "NOBTILD", "1.3": "NOBTIRLD"}
 """Columns by version; from 2.0 on the trace names its own."""
 
 _CARBUS: Final = "@ TEXT @ "

@@ -108,12 +108,7 @@ class RealTimeControllerNode:
     """
 
     def __init__(
-        self,
-        scenario: Scenario,
-        network: Network,
-        bus: NodeBus,
-        clock: Clock,
-        controller: InNode,
+        self, scenario: Scenario, network: Network, bus: NodeBus, clock: Clock, controller: InNode
     ) -> None:
         require_causal(scenario)
         self.ticks: Final = scenario.ticks

@@ -11,13 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from can_rig.scenario.fault_settings import (
-    CHANNELS,
-    MAX_LATE_TICKS,
-    PLACES,
-    SENSOR,
-    FaultSettings,
-)
+from can_rig.scenario.fault_settings import CHANNELS, MAX_LATE_TICKS, PLACES, SENSOR, FaultSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis import witnesses
 from firmware_model.analysis.hardware import (

@@ -13,13 +13,7 @@ from matplotlib.gridspec import GridSpec
 from can_rig import paged
 from can_rig.assessment.limitations import control_authority
 from can_rig.drawing import style
-from can_rig.drawing.names import (
-    Names,
-    disturbance_in_words,
-    fault_in_words,
-    names_of,
-    ticks_text,
-)
+from can_rig.drawing.names import Names, disturbance_in_words, fault_in_words, names_of, ticks_text
 from can_rig.drawing.style import BLUE, DASHED, INK, ORANGE, legend_above
 from can_rig.drawing.thinning import thinned
 from can_rig.frames.network import Network
@@ -109,10 +103,7 @@ def draw_report(
 
 
 def page(
-    scenario: Scenario,
-    network: Network,
-    signals: Signals,
-    realtime: dict[str, Any] | None = None,
+    scenario: Scenario, network: Network, signals: Signals, realtime: dict[str, Any] | None = None
 ) -> Figure:
     """Five panels over one time axis, the loss shaded, readable in grey print.
 
@@ -265,11 +256,7 @@ def _output_name(scenario: Scenario, names: Names) -> str:
 
 
 def _output(
-    axis: Axes,
-    scenario: Scenario,
-    names: Names,
-    signals: Signals,
-    beside: tuple[FloatArray, str],
+    axis: Axes, scenario: Scenario, names: Names, signals: Signals, beside: tuple[FloatArray, str]
 ) -> None:
     """D* wide, the compared curve dashed, D* without compensation thin."""
     time_s, (values, label) = signals.time_s, beside

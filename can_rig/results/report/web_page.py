@@ -16,8 +16,14 @@ import numpy as np
 from can_rig import paged
 from can_rig.drawing.bench import Chart, Curve, Recording, recorded
 from can_rig.drawing.html import Code, page, table
-from can_rig.drawing.names import CAR, Names, disturbance_label, fault_label, names_of
-from can_rig.drawing.names import in_words as parted
+from can_rig.drawing.names import (
+    CAR,
+    Names,
+    disturbance_label,
+    fault_label,
+    in_words as parted,
+    names_of,
+)
 from can_rig.drawing.style import FAR
 from can_rig.frames.network import Network
 from can_rig.logs.columns import SPEED, TRUE_OUTPUT, VERDICT

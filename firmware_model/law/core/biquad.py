@@ -13,13 +13,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.structs import (
-    MAX_SECTIONS,
-    FloatArray,
-    Precision,
-    Struct,
-    zeroed,
-)
+from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Precision, Struct, zeroed
 
 
 class Constants(Struct):

@@ -24,12 +24,7 @@ from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.core.estimator import advance_model, model_output, take_measurement
 from firmware_model.law.core.reference_shaper import tracked_reference
 from firmware_model.law.core.shortfall import make_up
-from firmware_model.law.core.tracking import (
-    advance_shortfalls,
-    asked_torque,
-    missing_output,
-    track,
-)
+from firmware_model.law.core.tracking import advance_shortfalls, asked_torque, missing_output, track
 from firmware_model.law.precision import real
 from firmware_model.law.status import Mode
 from firmware_model.law.structs import Struct

@@ -15,11 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from firmware_model.compiled import firmware
 from firmware_model.law.structs import Struct
 from firmware_model.law.supervision.echoes import confesses, says_lost
-from firmware_model.law.supervision.witness import (
-    acquits,
-    agrees_with_sensor,
-    contradicts,
-)
+from firmware_model.law.supervision.witness import acquits, agrees_with_sensor, contradicts
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

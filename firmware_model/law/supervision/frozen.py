@@ -14,8 +14,7 @@ from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
 from firmware_model.law.supervision import candidate
-from firmware_model.law.supervision.candidate import State as CandidateState
-from firmware_model.law.supervision.candidate import start, take_in
+from firmware_model.law.supervision.candidate import State as CandidateState, start, take_in
 
 if TYPE_CHECKING:
     from firmware_model.law import layout

@@ -21,11 +21,7 @@ from firmware_model.law.structs import FloatArray, Struct
 from firmware_model.law.supervision.covariance import MAX_STATES, SIZES, variance_of
 from firmware_model.law.supervision.loss_model import CONFIRMED, known_share
 from firmware_model.law.supervision.mismatch import learn_loss
-from firmware_model.law.supervision.verdict import (
-    ANOTHER_CAR,
-    BOTH_LOST,
-    SENSOR_FROZEN,
-)
+from firmware_model.law.supervision.verdict import ANOTHER_CAR, BOTH_LOST, SENSOR_FROZEN
 from firmware_model.law.supervision.whitener import settle_whitener
 
 if TYPE_CHECKING:

@@ -39,6 +39,7 @@ from firmware_model.law.supervision.covariance import (
     LOSS_STATES,
     MAX_STATES,
     SIZES,
+    State as CovarianceState,
     clear_covariance,
     fade,
     grow,
@@ -46,7 +47,6 @@ from firmware_model.law.supervision.covariance import (
     replace_loss,
     variance_of,
 )
-from firmware_model.law.supervision.covariance import State as CovarianceState
 from firmware_model.law.supervision.whitener import settle_whitener, whiten
 
 if TYPE_CHECKING:
@@ -177,12 +177,7 @@ def finite(value: float) -> float:
 
 @firmware
 def innovation(
-    constants: Constants,
-    state: State,
-    residual: float,
-    known: float,
-    fading: float,
-    share: float,
+    constants: Constants, state: State, residual: float, known: float, fading: float, share: float
 ) -> float:
     """Return the innovation of this tick; θ and P are updated.
 

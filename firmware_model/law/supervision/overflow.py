@@ -7,11 +7,7 @@ from typing import TYPE_CHECKING
 
 from firmware_model.compiled import firmware
 from firmware_model.law.core.biquad import output
-from firmware_model.law.core.estimator import (
-    clear_estimator,
-    model_output,
-    settle_estimator,
-)
+from firmware_model.law.core.estimator import clear_estimator, model_output, settle_estimator
 from firmware_model.law.core.reference_shaper import start
 from firmware_model.law.core.shortfall import make_up
 from firmware_model.law.core.tracking import missing_output

@@ -21,14 +21,13 @@ from firmware_model.law.status import Verdict
 from firmware_model.law.structs import Struct
 from firmware_model.law.supervision.candidate import (
     Constants as CandidateConstants,
-)
-from firmware_model.law.supervision.candidate import (
     Limits as CandidateLimits,
-)
-from firmware_model.law.supervision.candidate import (
     State as CandidateState,
+    count_anew,
+    has_failed,
+    start,
+    take_in,
 )
-from firmware_model.law.supervision.candidate import count_anew, has_failed, start, take_in
 from firmware_model.law.supervision.echoes import Actuator, Echo, missing_command
 
 if TYPE_CHECKING:

@@ -27,33 +27,22 @@ from firmware_model.law.supervision import candidate, signatures
 from firmware_model.law.supervision.candidate import likeliest
 from firmware_model.law.supervision.corroboration import sensor_waits, torque_waits
 from firmware_model.law.supervision.covariance import LOSS_STATES, variance_of
-from firmware_model.law.supervision.echoes import (
-    Echo,
-    believe,
-    missing_command,
-    says_lost,
-    works,
-)
+from firmware_model.law.supervision.echoes import Echo, believe, missing_command, says_lost, works
 from firmware_model.law.supervision.frozen import (
     Constants as FrozenConstants,
-)
-from firmware_model.law.supervision.frozen import (
     State as FrozenState,
+    thaw,
+    weigh_frozen,
 )
-from firmware_model.law.supervision.frozen import thaw, weigh_frozen
 from firmware_model.law.supervision.loss_model import known_share
-from firmware_model.law.supervision.sensor_error import State as SensorErrorState
 from firmware_model.law.supervision.sensor_error import (
+    State as SensorErrorState,
     clear_sensor_error,
     learn_sensor_error,
 )
 from firmware_model.law.supervision.signatures import (
     Constants as SignaturesConstants,
-)
-from firmware_model.law.supervision.signatures import (
     State as SignaturesState,
-)
-from firmware_model.law.supervision.signatures import (
     answers_no_more,
     begin_all,
     begin_others,

@@ -62,12 +62,7 @@ def _nothing() -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
 def delay_line(ticks: int) -> Matrices:
     if ticks == 0:
         return (*_nothing(), np.ones((1, 1)))
-    return (
-        np.eye(ticks, k=-1),
-        np.eye(ticks, 1),
-        np.eye(1, ticks, ticks - 1),
-        np.zeros((1, 1)),
-    )
+    return (np.eye(ticks, k=-1), np.eye(ticks, 1), np.eye(1, ticks, ticks - 1), np.zeros((1, 1)))
 
 
 def by_hand(

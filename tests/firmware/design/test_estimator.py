@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from firmware_model.design.continuous_design import fault_estimator
 from firmware_model.design.plants import Plant, chapter_2, steer_by_wire

@@ -2,17 +2,12 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from firmware_model.design.continuous_design import inner_outer
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.errors import (
-    AxisZeroError,
-    UnstablePlantError,
-    ZeroChannelError,
-)
+from firmware_model.errors import AxisZeroError, UnstablePlantError, ZeroChannelError
 
 AXIS = 1j * np.concatenate([-np.logspace(3, -3, 20), [0], np.logspace(-3, 3, 20)])
 DENOMINATOR = [1, 27.8684, 494.8547, 5616.1, 20333]

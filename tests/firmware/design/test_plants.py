@@ -6,8 +6,7 @@ from dataclasses import fields, replace
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 from scipy import linalg
 
 from firmware_model.design.factors import unstable
@@ -99,10 +98,7 @@ def test_steady_commands_for_one_mps2(
     assert 1 / plant.g2.dc_gain == pytest.approx(force_difference_n, abs=0.5)
 
 
-@given(
-    st.lists(st.floats(-3, 3), min_size=15, max_size=15),
-    st.floats(0.5, 30),
-)
+@given(st.lists(st.floats(-3, 3), min_size=15, max_size=15), st.floats(0.5, 30))
 def test_numerators_are_the_determinant_difference(entries: list[float], s: float) -> None:
     """``c adj(sI - A) b = det(sI - A + b c) - det(sI - A)``, the matrix determinant lemma."""
     a = np.array(entries[:9]).reshape(3, 3)

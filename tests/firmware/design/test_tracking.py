@@ -3,19 +3,13 @@
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from firmware_model.design.continuous_design import tracking
 from firmware_model.design.factors import roots_of_one_less_one
 from firmware_model.design.plants import Plant, chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.errors import (
-    AxisZeroError,
-    ImproperError,
-    ParameterError,
-    ZeroChannelError,
-)
+from firmware_model.errors import AxisZeroError, ImproperError, ParameterError, ZeroChannelError
 
 PLANTS = [chapter_2(), steer_by_wire(), steer_by_wire(variant="published")]
 OMEGAS = [1e-3, 0.1, 1.0, 17.0, 300.0, 1e4]
@@ -46,11 +40,7 @@ def test_it_is_3_32(plant: Plant, alpha_q: int, tau_q_s: float) -> None:
 
 
 @pytest.mark.parametrize("plant", PLANTS)
-@given(
-    tau_q_s=st.floats(1e-4, 10),
-    alpha_q=st.integers(2, 6),
-    omega=st.floats(1e-2, 1e3),
-)
+@given(tau_q_s=st.floats(1e-4, 10), alpha_q=st.integers(2, 6), omega=st.floats(1e-2, 1e3))
 def test_sensitivity_is_one_less_q_hat(
     plant: Plant, tau_q_s: float, alpha_q: int, omega: float
 ) -> None:

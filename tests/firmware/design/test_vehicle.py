@@ -6,8 +6,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import scipy.signal
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from firmware_model.design.vehicle import TABLE_3_2, VehicleParameters, vehicle_state_space
 from firmware_model.errors import ParameterError

@@ -6,8 +6,7 @@ from dataclasses import FrozenInstanceError
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import ParameterError

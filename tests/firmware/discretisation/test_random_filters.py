@@ -34,10 +34,7 @@ def test_tustin_is_within_its_bound_of_theory(seed: int, filters: int) -> None:
         num, den = g.numerator(), g.denominator()
         exact = {
             "roots": (g, tustin_exactly(g, omega, tick_s)),
-            "coefficients": (
-                (num, den),
-                tustin_exactly_of_coefficients(num, den, omega, tick_s),
-            ),
+            "coefficients": ((num, den), tustin_exactly_of_coefficients(num, den, omega, tick_s)),
         }
         angle = omega * tick_s
         for system, theory in exact.values():

@@ -6,8 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from firmware_model.discretisation.sections import Sections, from_delta_zpk, realisation
 from firmware_model.law.core import biquad

@@ -6,8 +6,7 @@ import cmath
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy import linalg, signal
 
 from firmware_model.design.zpk import ZeroPoleGain

@@ -7,15 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
-from firmware_model.design.continuous_design import (
-    ContinuousDesign,
-    DesignSpecification,
-    design,
-)
+from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
 from firmware_model.design.mismatch import TRUSTED, Mismatch
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain

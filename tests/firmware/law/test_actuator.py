@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from firmware_model.law.core.actuator import Constants, State, quantise, saturate, saturate_rate
 from firmware_model.law.structs import zeroed

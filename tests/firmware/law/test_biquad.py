@@ -6,21 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy import signal
 
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tustin import tustin, zoh
-from firmware_model.law.core.biquad import (
-    Constants,
-    advance,
-    at_rest,
-    output,
-    settle,
-)
+from firmware_model.law.core.biquad import Constants, advance, at_rest, output, settle
 from firmware_model.law.structs import MAX_SECTIONS, Precision, zeroed
 
 CAR = steer_by_wire()
@@ -54,10 +47,7 @@ def test_equals_scipys_second_order_sections(name: str) -> None:
     )
 
 
-@given(
-    inputs=st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=30),
-    factor=st.floats(-8.0, 8.0),
-)
+@given(inputs=st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=30), factor=st.floats(-8.0, 8.0))
 def test_is_linear(inputs: list[float], factor: float) -> None:
     sections, u = FILTERS["G2"], np.array(inputs)
     scale = 1e-12 * (1.0 + np.abs(u).max())

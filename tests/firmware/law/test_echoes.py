@@ -98,11 +98,7 @@ class Car:
 
 
 def drive(
-    table: Any,
-    acts: Any,
-    hears: Any = None,
-    sensor: Any = None,
-    ticks: int = END,
+    table: Any, acts: Any, hears: Any = None, sensor: Any = None, ticks: int = END
 ) -> list[Answer]:
     """A sine; from FAULT on ``acts`` makes what the actuators do of both commands and the tick.
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy import optimize, signal, stats
 
 from firmware_model.discretisation.tables import build
@@ -16,10 +15,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.layout import Table
 from firmware_model.law.structs import FloatArray, Records
-from firmware_model.law.supervision.candidate import (
-    likeliest,
-    take_in,
-)
+from firmware_model.law.supervision.candidate import likeliest, take_in
 from firmware_model.law.supervision.frozen import weigh_frozen
 from firmware_model.law.supervision.mismatch import innovation
 from firmware_model.law.supervision.signatures import (

@@ -20,8 +20,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.law import controller
 from firmware_model.law.layout import state_type
-from firmware_model.law.monitor import Constants, clear_monitor, watch
-from firmware_model.law.monitor import State as MonitorState
+from firmware_model.law.monitor import Constants, State as MonitorState, clear_monitor, watch
 from firmware_model.law.status import Mode, Verdict
 from firmware_model.law.structs import FloatArray, zeroed
 

@@ -27,11 +27,7 @@ from firmware_model.law.core.biquad import output
 from firmware_model.law.layout import Table
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray, Records
-from firmware_model.law.supervision.likelihood_ratio import (
-    is_stale,
-    lost_share,
-    start_candidate,
-)
+from firmware_model.law.supervision.likelihood_ratio import is_stale, lost_share, start_candidate
 from tests.firmware.law.cases import CAR, DESIGN, NEVER, TICK_S, changed, other_cars
 
 PLANT = sample(CAR, TICK_S)

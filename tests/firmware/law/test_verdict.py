@@ -13,19 +13,13 @@ from firmware_model.law import controller
 from firmware_model.law.layout import Table
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import Records
-from firmware_model.law.supervision.verdict import (
-    judge,
-    other_car_evidence,
-    torque_evidence,
-)
+from firmware_model.law.supervision.verdict import judge, other_car_evidence, torque_evidence
 from tests.firmware.law.cases import DESIGN, TICK_S, changed, covariance_of, other_cars
 
 pytestmark = pytest.mark.every_case  # a case each of few lines
 
 TARGET = Target(TICK_S, 1, "zoh", noise_rms=0.01, mismatch=other_cars(2))
-NUMBERS = {
-    "hypotheses": {"ahead": 2.0, "sensor_ahead": 3.0, "jump": 5.0, "both_lost": 100.0},
-}
+NUMBERS = {"hypotheses": {"ahead": 2.0, "sensor_ahead": 3.0, "jump": 5.0, "both_lost": 100.0}}
 TABLES = changed(build(DESIGN, TARGET), decision={"confirm": 20.0, "suspect": 7.0}, **NUMBERS)
 LOST, OFFSET, FORCE, BIASED, DRIFTING, FROZEN, CAR_IS_ANOTHER = range(1, 8)
 

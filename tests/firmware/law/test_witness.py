@@ -20,8 +20,7 @@ from firmware_model.law.status import FaultState, Mode, Verdict
 from firmware_model.law.supervision.echoes import KEPT_TICKS
 from tests.firmware.law.cases import CAR, TICK_S
 from tests.firmware.law.test_echoes import LAGS, Car, dead, honest, lying, working
-from tests.firmware.scheduled import SPEEDS, Blended, scheduled
-from tests.firmware.scheduled import TARGET as SCHEDULED
+from tests.firmware.scheduled import SPEEDS, TARGET as SCHEDULED, Blended, scheduled
 
 WEIGHT, SPEED_MPS, RMS, PERIOD = 0.3, 12.0, 0.005, 5
 WITNESS = Witness(WEIGHT, SPEED_MPS, noise_rms=RMS)

@@ -6,12 +6,7 @@ from fractions import Fraction
 
 import pytest
 
-from can_rig.assessment.bus_timing import (
-    PeriodicFrame,
-    dbc_timing,
-    latency_ticks,
-    response_times,
-)
+from can_rig.assessment.bus_timing import PeriodicFrame, dbc_timing, latency_ticks, response_times
 from can_rig.assessment.frame_length import FrameError, worst_case_bits
 from can_rig.assessment.resolve import load
 from can_rig.errors import DbcError, ScenarioError

@@ -8,14 +8,9 @@ from math import ceil
 import can
 import pytest
 from can import Message
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
-from can_rig.assessment.bus_timing import (
-    TimingError,
-    latency_ticks,
-    network_timing,
-)
+from can_rig.assessment.bus_timing import TimingError, latency_ticks, network_timing
 from can_rig.assessment.frame_length import (
     INTERMISSION_BITS,
     FrameBits,

@@ -6,8 +6,7 @@ from fractions import Fraction
 from math import inf, nan
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from can_rig.assessment.bus_timing import (
     AnalysisError,

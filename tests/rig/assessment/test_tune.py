@@ -132,8 +132,7 @@ def test_what_passes_comes_to_rest_in_drives_with_its_spare_tick(found: Tunings)
     left[5000:, 0] = 0.0
     for car in (some[1], some[-1]):
         late = dataclasses.replace(
-            car.settings,
-            sensor=dataclasses.replace(car.settings.sensor, dead_time_s=1e-3),
+            car.settings, sensor=dataclasses.replace(car.settings.sensor, dead_time_s=1e-3)
         )
         plant = sample(continuous_plant(late), 1e-3)
         trace = simulate(table, plant, np.ones(10_000), effectiveness=left)

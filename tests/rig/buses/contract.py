@@ -7,8 +7,7 @@ from typing import Any
 import can
 import pytest
 from can.util import CAN_FD_DLC
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from can_rig.buses.bus import open_bus
 

@@ -202,9 +202,7 @@ def test_a_worker_of_a_cluster_that_dies_costs_nothing_and_one_that_always_dies_
             list(compute([Task(1, 2)]))
 
 
-def test_a_cluster_that_all_workers_have_left_is_one_line(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_cluster_that_all_workers_have_left_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "ABSENCE_S", 0.5)
     with (
         LocalCluster(

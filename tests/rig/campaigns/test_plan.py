@@ -67,8 +67,7 @@ NO_LAG = {"plant.torque_actuator.lag_s": 0.0}
     ("scenario", "settings"), [("default", {}), ("ideal", {}), ("ideal", FREQUENCY)]
 )
 @pytest.mark.parametrize(
-    ("key", "value", "other"),
-    [("lag_s", 0.02, {}), ("natural_frequency_rad_per_s", 300.0, NO_LAG)],
+    ("key", "value", "other"), [("lag_s", 0.02, {}), ("natural_frequency_rad_per_s", 300.0, NO_LAG)]
 )
 def test_an_axis_over_a_lag_keeps_what_is_believed_of_it(
     scenario: str, settings: dict[str, float], key: str, value: float, other: dict[str, float]

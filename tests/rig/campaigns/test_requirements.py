@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from can_rig.campaigns.requirements import Requirement, Verdict, margin
 from can_rig.errors import ScenarioError

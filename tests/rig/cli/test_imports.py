@@ -39,10 +39,7 @@ def imported_by(*arguments: str) -> set[str]:
     [
         (["--help"], TABLES | PICTURES | SOLVERS | NUMBERS | {"rich"}),
         (["scenarios"], TABLES | PICTURES | SOLVERS | NUMBERS),
-        (
-            ["check", "thesis-step"],
-            TABLES | PICTURES | SOLVERS | {"yaml", "numpy.f2py.f2py2e"},
-        ),
+        (["check", "thesis-step"], TABLES | PICTURES | SOLVERS | {"yaml", "numpy.f2py.f2py2e"}),
         (["bus"], TABLES | PICTURES | SOLVERS),
         (["run", "--help"], TABLES | PICTURES | SOLVERS),
         (["plant", "--help"], TABLES | PICTURES | SOLVERS | LAW),

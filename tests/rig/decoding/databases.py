@@ -11,8 +11,7 @@ from pathlib import Path
 import cantools
 import numpy as np
 from can import Message
-from cantools.database.can import Database, Signal
-from cantools.database.can import Message as DbcMessage
+from cantools.database.can import Database, Message as DbcMessage, Signal
 from cantools.database.conversion import BaseConversion
 from cantools.database.errors import DecodeError
 from hypothesis import strategies as st

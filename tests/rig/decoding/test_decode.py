@@ -6,11 +6,9 @@ import cantools
 import numpy as np
 import pytest
 from can import Message
-from cantools.database.can import Database, Signal
-from cantools.database.can import Message as DbcMessage
+from cantools.database.can import Database, Message as DbcMessage, Signal
 from cantools.database.conversion import BaseConversion
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from can_rig.decoding.decode import Decoder
 from tests.rig.decoding.databases import FEATURES, databases, numbers, require_agreement

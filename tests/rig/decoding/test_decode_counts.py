@@ -9,8 +9,7 @@ import cantools
 import pytest
 from can import Message
 from e2e.p01 import e2e_p01_protect
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.files import Contents, output

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 from can import Message
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from can_rig.decoding.decode import Decoder, decode_log
 from can_rig.decoding.j1939 import group_key

@@ -38,12 +38,7 @@ from can_rig.controllers.our_law import PYTHON, in_node
 from can_rig.controllers.protocol import WholeNode
 from can_rig.errors import ExportError
 from can_rig.export.application import ORDER_HEAD, application, identity
-from can_rig.export.boards import (
-    BOARDS,
-    COMPILER,
-    EMULATOR,
-    firmware_image,
-)
+from can_rig.export.boards import BOARDS, COMPILER, EMULATOR, firmware_image
 from can_rig.export.compiler import shared_library
 from can_rig.export.law import number_headers
 from can_rig.export.trials import random_frames
@@ -173,10 +168,7 @@ def test_the_node_in_c_hears_what_the_actuators_report(precision: str) -> None:
 @EMULATED
 @pytest.mark.parametrize(
     ("board", "precision", "kind"),
-    [
-        ("m4f", "float32", "frames-corrupted"),
-        ("m7", "float64", "actuator-dead"),
-    ],
+    [("m4f", "float32", "frames-corrupted"), ("m7", "float64", "actuator-dead")],
 )
 def test_an_emulated_board_sends_the_same_bytes(board: str, precision: str, kind: str) -> None:
     settings = faulty(kind, precision)

@@ -9,8 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from e2e.p01 import e2e_p01_check
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.controllers.ecus import host_library

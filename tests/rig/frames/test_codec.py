@@ -5,8 +5,7 @@ import math
 import can
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 
 from can_rig.frames.codec import CheckStatus, Receiver, Record, Transmitter
 from can_rig.frames.network import load_network

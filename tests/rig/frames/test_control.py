@@ -5,8 +5,7 @@ from typing import get_args
 import cantools
 import pytest
 from e2e.p01 import e2e_p01_check
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from can_rig.frames import operator_frames
 from can_rig.plant.faults.injection import injected

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.frames.codec import CheckStatus, Receiver, Transmitter

@@ -3,8 +3,7 @@
 import struct
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.frames.codec import (

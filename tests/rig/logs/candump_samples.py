@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from can_rig.logs.frames import (
-    Frames,
-    concatenate,
-)
+from can_rig.logs.frames import Frames, concatenate
 from can_rig.logs.reading import read_log
 
 # Of can-utils 2020.11: candump -L, candump -l of a socket with error frames and FD, and log2asc's

@@ -8,11 +8,7 @@ import can
 import numpy as np
 from can import Message
 
-from can_rig.logs.frames import (
-    ERROR,
-    EXTENDED,
-    Frames,
-)
+from can_rig.logs.frames import ERROR, EXTENDED, Frames
 
 START_S = 1_700_000_000.25
 

@@ -11,8 +11,7 @@ import can
 import numpy as np
 import pytest
 from can.io import CanutilsLogReader, CanutilsLogWriter
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from can_rig.errors import LogError
 from can_rig.logs.formats.candump import candump_lines

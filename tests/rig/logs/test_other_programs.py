@@ -11,14 +11,7 @@ import pytest
 from asammdf import Signal, Source
 
 from can_rig.errors import LogError
-from can_rig.logs.frames import (
-    ERROR,
-    EXTENDED,
-    FD,
-    REMOTE,
-    SENT,
-    concatenate,
-)
+from can_rig.logs.frames import ERROR, EXTENDED, FD, REMOTE, SENT, concatenate
 from can_rig.logs.reading import read_log
 from tests.rig.logs.samples import CANOE, LOG2ASC, PEAK, content, relative_ns
 

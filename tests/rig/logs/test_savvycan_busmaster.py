@@ -7,8 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from can_rig.errors import LogError
 from can_rig.logs.frames import EXTENDED, FD, REMOTE, SENT, concatenate

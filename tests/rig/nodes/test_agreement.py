@@ -24,13 +24,7 @@ from can_rig.frames.comparison_frames import (
     digest,
 )
 from can_rig.nodes import runner
-from can_rig.nodes.agreement import (
-    ANSWERED_S,
-    UNSETTLED_S,
-    Agreement,
-    keys_of,
-    require_alone,
-)
+from can_rig.nodes.agreement import ANSWERED_S, UNSETTLED_S, Agreement, keys_of, require_alone
 from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.runner import RunOptions, run_controller, run_plant
 from can_rig.scenario import shipped

@@ -5,8 +5,7 @@ import select
 import can
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from can_rig.buses.bus import open_bus, open_for_node
 from can_rig.buses.local.bus import HEADER

@@ -5,8 +5,7 @@ from __future__ import annotations
 import can
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import OurLaw

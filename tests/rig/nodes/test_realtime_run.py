@@ -14,14 +14,7 @@ from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from tests.helpers import rig, start
 from tests.processes import wait_for
-from tests.rig.nodes.running import (
-    LONG,
-    alive,
-    lines_of,
-    one_line,
-    running,
-    summary_of,
-)
+from tests.rig.nodes.running import LONG, alive, lines_of, one_line, running, summary_of
 
 
 def signals_of(log) -> Signals:

@@ -7,17 +7,14 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from can_rig.errors import RunFolderError
 from can_rig.nodes.bus_access import Pace
 from can_rig.nodes.realtime.timing import Histogram, Timing
 from can_rig.nodes.recording import RealTimeRecorder, Recorder
 from tests.clock import TurnedClock
-from tests.rig.nodes.world import (
-    TICK_NS,
-)
+from tests.rig.nodes.world import TICK_NS
 
 
 def frame(number, **kwargs):

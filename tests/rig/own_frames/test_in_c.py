@@ -16,8 +16,7 @@ import cantools
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
+from hypothesis import Phase, given, settings, strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main

@@ -9,8 +9,7 @@ from pathlib import Path
 import cantools
 import pytest
 from cantools.database.can import Database
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import DbcError, ScenarioError

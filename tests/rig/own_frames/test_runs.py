@@ -24,13 +24,7 @@ from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from firmware_model.law.status import FaultState
 from tests.helpers import asked, record, rig
-from tests.rig.own_frames.scenarios import (
-    FD_SIGNALS,
-    MOTOROLA,
-    SIGNALS,
-    database,
-    options,
-)
+from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database, options
 
 DRIVE = ["duration_s=1.5", "fault.at_s=1.0"]
 CHASSIS = [

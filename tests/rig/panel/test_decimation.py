@@ -1,8 +1,7 @@
 """Decimation for the screen keeps every peak and invents no value."""
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from can_rig.drawing.thinning import Decimator

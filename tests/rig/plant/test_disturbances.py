@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import PYTHON

@@ -7,8 +7,7 @@ from copy import deepcopy
 
 import pytest
 from can import Message
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from can_rig.frames.codec import Transmitter
 from firmware_model.law.status import Mode

@@ -10,8 +10,7 @@ from pathlib import Path
 import can
 import pytest
 from can import Message
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from can_rig.buses.bus import open_bus
 from can_rig.errors import BusError

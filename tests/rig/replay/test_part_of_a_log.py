@@ -12,8 +12,7 @@ from can import Message
 from can_rig.replaying.what_if import question
 from can_rig.results.source import Source
 from tests.helpers import asked
-from tests.rig.replay.drive import SETTINGS as DRIVE
-from tests.rig.replay.drive import off_by_one_bit, write_log_of
+from tests.rig.replay.drive import SETTINGS as DRIVE, off_by_one_bit, write_log_of
 
 DURATION = ("--set", "duration_s=0.3", "--set", "fault.at_s=0.2")
 SETTINGS = tuple(word for setting in DRIVE for word in ("--set", setting))

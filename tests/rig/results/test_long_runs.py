@@ -61,8 +61,7 @@ def assert_same(short: Path, long: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("case", "bus"),
-    [("frames", None), ("drive", None), ("class", None), ("noise", "virtual:long")],
+    ("case", "bus"), [("frames", None), ("drive", None), ("class", None), ("noise", "virtual:long")]
 )
 def test_a_long_run_says_what_a_short_one_says(
     case: str, bus: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

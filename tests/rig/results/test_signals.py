@@ -13,8 +13,7 @@ import cantools
 import numpy as np
 import pytest
 from can import LogReader
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import can_rig
 from can_rig.assessment.resolve import load
@@ -22,8 +21,14 @@ from can_rig.controllers.our_law import PYTHON
 from can_rig.drawing.names import column_names
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.network import Network
-from can_rig.logs.columns import APPLIED, EVIDENCE, ON_THE_BUS, TAKEN, TRUE_OUTPUT
-from can_rig.logs.columns import ON_THE_BUS as COLUMNS
+from can_rig.logs.columns import (
+    APPLIED,
+    EVIDENCE,
+    ON_THE_BUS,
+    ON_THE_BUS as COLUMNS,
+    TAKEN,
+    TRUE_OUTPUT,
+)
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from can_rig.results.signals import Signals, read_signals

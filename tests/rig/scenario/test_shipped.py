@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from can_rig.assessment.resolve import load
 from can_rig.plant.frameless import frameless
 from can_rig.scenario import shipped
-from can_rig.scenario.box import CAR as UNCERTAIN
-from can_rig.scenario.box import in_box
+from can_rig.scenario.box import CAR as UNCERTAIN, in_box
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.settings import Scenario

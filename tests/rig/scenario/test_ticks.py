@@ -2,8 +2,7 @@
 
 from decimal import Decimal
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario

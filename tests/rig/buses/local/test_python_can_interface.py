@@ -14,13 +14,7 @@ import pytest
 
 from can_rig.buses.local.bus import LocalBus
 from tests.processes import wait_for
-from tests.rig.buses.local.nodes import (
-    TIMEOUT_S,
-    buses,
-    frame,
-    number,
-    sockets,
-)
+from tests.rig.buses.local.nodes import TIMEOUT_S, buses, frame, number, sockets
 
 
 def test_fd_frames_need_an_fd_bus() -> None:
