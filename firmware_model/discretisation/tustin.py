@@ -94,8 +94,9 @@ def _held_bilinear(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
     return zeros, poles, 2.0 * gain
 
 
+@lru_cache(maxsize=64)  # a search designs hundreds of controllers for one plant
 def _held_exactly(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
-    """``zoh`` as zeros, poles and gain in δ."""
+    """``zoh`` as zeros, poles and gain in δ; the lists are never changed."""
     _check_tick(tick_s)
     _require_proper(g)
     g = g.cancelled()  # so the state space has a state for each remaining pole

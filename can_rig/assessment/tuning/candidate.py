@@ -159,19 +159,27 @@ def laws(table: Table) -> tuple[Law, Law]:
     )
 
 
-def loops(table: Table, car: Car, tick_s: float) -> list[SampledLoop]:
+def loops(states: tuple[Law, Law], car: Car, tick_s: float) -> list[SampledLoop]:
     """The loop with ``car``, healthy and with the torque channel dead."""
-    return [sampled_loop(law, car.plant, tick_s, left) for law, left in laws(table)]
+    return [sampled_loop(law, car.plant, tick_s, left) for law, left in states]
 
 
-def is_stable(table: Table, some: Iterable[Car], tick_s: float, spare_ticks: int) -> bool:
+def is_stable(
+    table: Table,
+    some: Iterable[Car],
+    tick_s: float,
+    spare_ticks: int,
+    states: tuple[Law, Law] | None = None,
+) -> bool:
     """Whether all cars are stable, healthy and lost, with up to ``spare_ticks`` of extra delay.
+
+    ``states`` are ``laws(table)``, where the caller has them.
 
     A false alarm must be stable too, without extra delay: a car other than the nominal car shows
     some d̂, and a table with compensation on confirmation may then compensate for a working
     channel.
     """
-    healthy, lost = laws(table)
+    healthy, lost = states or laws(table)
     needed = [(law, extra) for extra in range(spare_ticks, -1, -1) for law in (healthy, lost)]
     if table.compensator.on_confirmation:
         needed.append(((lost[0], HEALTHY), 0))
@@ -414,10 +422,12 @@ def assess(
         table = trusting_table(scenario)
     except (DesignError, ScenarioError):
         return Refusal.DESIGN
-    if not is_stable(table, cars, tick_s, spare_ticks):
-        return Refusal.NOMINAL_SPARE if is_stable(table, cars, tick_s, 0) else Refusal.NOMINAL
-    states = loops(table, cars[0], tick_s)
-    own = loops(table, cars[-1], tick_s)  # the scenario's plant, which can-rig check judges
+    of_table = laws(table)
+    if not is_stable(table, cars, tick_s, spare_ticks, of_table):
+        stable = is_stable(table, cars, tick_s, 0, of_table)
+        return Refusal.NOMINAL_SPARE if stable else Refusal.NOMINAL
+    states = loops(of_table, cars[0], tick_s)
+    own = loops(of_table, cars[-1], tick_s)  # the scenario's plant, which can-rig check judges
     if max(peak_sensitivity(loop)[0] for loop in own) > scenario.budget.peak_sensitivity:
         return Refusal.THIN
     noise_1, noise_2 = (max(noise_gain(loop, answer) for loop in states) for answer in (0, 1))
@@ -505,8 +515,9 @@ def box_refusal(
     The tests cover the linear loop with each car, a drive of each car with limits and noise, and a
     drive with the spare ticks.
     """
-    if not is_stable(table, cars, scenario.tick_s, spare_ticks):
-        stable = is_stable(table, cars, scenario.tick_s, 0)
+    states = laws(table)
+    if not is_stable(table, cars, scenario.tick_s, spare_ticks, states):
+        stable = is_stable(table, cars, scenario.tick_s, 0, states)
         return (Refusal.BOX_SPARE if stable else Refusal.BOX), None
     stepped = replace(scenario, reference=replace(scenario.reference, kind="step"))
     if continuous_plant(scenario.model).integrates:
