@@ -33,10 +33,9 @@ def own_can(request):
     """An interface of the test's own, up."""
     name = f"vcan{90 + len(request.node.name) % 10}"
     try:
-        tool("ip", "link", "add", "dev", name, "type", "vcan")
+        tool("ip", "-batch", "-", input=f"link add dev {name} type vcan\nlink set up {name}\n")
     except subprocess.CalledProcessError:
         pytest.skip("NOT TESTED: only root makes CAN interfaces; tools/vcan_guest has one")
-    tool("ip", "link", "set", "up", name)
     yield name
     tool("ip", "link", "del", name)
 

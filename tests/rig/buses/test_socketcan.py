@@ -1,8 +1,10 @@
 """SocketCAN under the nodes: what crowds, refuses or breaks, on a real kernel."""
 
+import math
 import subprocess
-import sys
 import threading
+from contextlib import suppress
+from dataclasses import replace
 
 import can
 import pytest
@@ -14,10 +16,18 @@ from can_rig.buses.bus import open_bus, open_for_node
 from can_rig.cli.main import main
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import BusLostError, SilentNodeError
-from can_rig.nodes.bus_access import SYSTEM_CLOCK, PersistentSender, StopRequest, Timeouts, Watchdog
-from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.bus_access import (
+    SYSTEM_CLOCK,
+    Interrupted,
+    PersistentSender,
+    StopRequest,
+    Timeouts,
+    Watchdog,
+)
+from can_rig.nodes.interaction import Interaction
+from can_rig.nodes.runner import run_controller, run_in_process, run_plant
 from tests.helpers import record
-from tests.vcan import frame, on_two_buses, own_can, tool
+from tests.vcan import PATIENT, TIMEOUT_S, frame, on_two_buses, own_can, tool
 
 __all__ = ["own_can"]
 
@@ -248,22 +258,37 @@ def test_an_interface_that_falls_while_a_node_opens_it_is_no_traceback(own_can, 
         set_link("up", own_can)
 
 
-@pytest.mark.parametrize("words", [("--pace", "50"), ("--injectable",)], ids=" ".join)
-def test_a_paced_run_whose_interface_stays_away_ends_in_one_line(words, own_can, tmp_path):
-    command = [sys.executable, "-m", "can_rig", "run", "thesis-step", "--allow-unstable"]
-    place = ["--bus", f"socketcan:{own_can}", "--out", str(tmp_path / "run")]
-    long = ["--set", "duration_s=2000", "--set", "fault.kind=none"]
-    with subprocess.Popen(
-        [*command, *place, *long, *words], stderr=subprocess.PIPE, text=True
-    ) as running:
-        with open_bus(f"socketcan:{own_can}") as bus:
-            assert all(bus.recv(60.0) is not None for _ in range(500))
-        set_link("down", own_can)
-        _, said = running.communicate(timeout=60)
-    set_link("up", own_can)
-    assert running.returncode == BusLostError.exit_status
-    assert said.count("\n") == 1, said
-    assert f"the interface has been down for 1 s: sudo ip link set up {own_can}" in said
+@pytest.mark.parametrize("interaction", [Interaction(pace=50.0), Interaction(injectable=True)])
+def test_a_run_that_bears_every_silence_ends_when_its_interface_stays_away(
+    interaction, own_can, tmp_path
+):
+    """As one that may be paused; tests/rig/cli has which runs bear it."""
+    scenario, bus = load("thesis-step", ["fault.kind=none"]), f"socketcan:{own_can}"
+    stop, ready = StopRequest(), threading.Event()
+    timeouts = Timeouts(TIMEOUT_S, math.inf)
+    options = replace(PATIENT, timeouts=timeouts, interaction=interaction)
+
+    def controller():
+        with suppress(Interrupted, BusLostError):
+            run_controller(scenario, bus, stop, ready.set, lambda tick: None, options)
+
+    def on_tick(tick):
+        if tick == 100:
+            set_link("down", own_can)
+
+    beside = threading.Thread(target=controller)
+    beside.start()
+    ready.wait(TIMEOUT_S)
+    try:
+        with pytest.raises(BusLostError) as caught:
+            run_plant(scenario, bus, tmp_path / "run.log", stop, on_tick, options)
+    finally:
+        stop.wanted = True
+        set_link("up", own_can)
+        beside.join(TIMEOUT_S)
+    line = f"the interface has been down for 1 s: sudo ip link set up {own_can}"
+    assert line in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_before_the_run_one_line_and_its_recipe(own_can, tmp_path):

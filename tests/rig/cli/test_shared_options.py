@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import re
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from click.shell_completion import BashComplete
 from can_rig.buses.bus import _quiet
 from can_rig.cli import scenarios
 from can_rig.cli.main import COMMANDS, main
+from can_rig.errors import INTERRUPTED
+from can_rig.results import execution
 from can_rig.scenario import shipped
 from tests.helpers import asked, rig
 
@@ -32,6 +35,25 @@ def test_a_run_as_json_has_the_metrics_of_its_folder(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "r" / "run.json").read_text())
     assert said["folder"] == str(tmp_path / "r")
     assert {key: summary[key] for key in ("metrics", "ticks", "outcome")}.items() <= said.items()
+
+
+@pytest.mark.parametrize(
+    ("words", "silence_s"),
+    [
+        ((), 1.0),
+        (("--silence", "7"), 7.0),
+        (("--pace", "50"), math.inf),
+        (("--injectable",), math.inf),
+        (("--injectable", "--silence", "7"), 7.0),
+    ],
+)
+def test_a_run_that_may_be_paused_bears_every_silence_unless_told(
+    words: tuple[str, ...], silence_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked_for: list[execution.Options] = []
+    monkeypatch.setattr(execution, "execute", lambda *of: asked_for.append(of[-1]))
+    assert asked(*RUN, *words).returncode == INTERRUPTED
+    assert [each.timeouts.silence_s for each in asked_for] == [silence_s]
 
 
 def test_a_silence_in_one_process_is_refused() -> None:

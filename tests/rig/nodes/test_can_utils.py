@@ -1,21 +1,29 @@
 """The loop on vcan0 beside the tools that people look at it with, and break it with."""
 
+import io
 import json
 import os
 import pty
 import select
+import shlex
 import subprocess
 import sys
+import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import cantools
 import pytest
 
+from can_rig.assessment.resolve import load
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.runner import run_plant
 from can_rig.results.run_folder import LOG, SUMMARY
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from tests.helpers import DBC, NAMES, record, rig, start
-from tests.vcan import TIMEOUT_S, beside, frames, on_two_buses, tool
+from tests.helpers import DBC, NAMES, record, rig
+from tests.vcan import PATIENT, TIMEOUT_S, beside, frames, on_two_buses, tool
 
 pytestmark = pytest.mark.vcan
 
@@ -69,12 +77,14 @@ def test_candump_saw_the_same_frames_in_the_same_order(live):
     assert [each[0] for each in frames(candump)] == [each[0] for each in frames(folder / LOG)]
 
 
-def test_cantools_decodes_what_candump_shows(live):
+def test_cantools_decodes_what_candump_shows(live, monkeypatch, capsys):
     _, candump, _ = live
     lines = "".join(candump.read_text().splitlines(keepends=True)[:50])
-    decoded = tool(
-        *CANTOOLS, "decode", "--single-line", DBC / "steer_by_wire.dbc", input=lines
-    ).stdout.splitlines()
+    words = ["cantools", "decode", "--single-line", str(DBC / "steer_by_wire.dbc")]
+    monkeypatch.setattr(sys, "argv", words)
+    monkeypatch.setattr(sys, "stdin", io.StringIO(lines))
+    cantools._main()  # as a process it would take seconds in the guest
+    decoded = capsys.readouterr().out.splitlines()
     assert [line.partition(":: ")[2].partition("(")[0] for line in decoded] == [*NAMES] * 10
 
 
@@ -124,17 +134,19 @@ def test_canplayer_in_the_controllers_place_gives_the_same_drive(tmp_path):
     controller_side = tmp_path / "controller.log"
     lines = recorded.read_text().splitlines(keepends=True)
     controller_side.write_text("".join(line for line in lines if line.endswith(" R\n")))
-    log = tmp_path / "plant.log"
-    words = [word for setting in settings for word in ("--set", setting)]
+    log, stop = tmp_path / "plant.log", StopRequest()
+    options = replace(PATIENT, by_hand=True, controller=None)
+    run = (load("thesis-step", settings), BUS, log, stop, lambda tick: None, options)
+    plant = threading.Thread(target=run_plant, args=run)
     with beside("candump", "-L", "vcan0,100:7FF", stdout=subprocess.PIPE) as heard:
-        plant = start("plant", "thesis-step", *words, "--bus", BUS, "--log", log)
+        plant.start()
         try:
             heard.stdout.readline()  # the plant node is there and has made its first offer
             tool("canplayer", "-I", controller_side, "-t", "-g", 0)
-            _, errors = plant.communicate(timeout=TIMEOUT_S)
+            plant.join(TIMEOUT_S)
         finally:
-            plant.kill()
-    assert plant.returncode == 0, errors
+            stop.wanted = True
+            plant.join()
     assert log.read_bytes() == recorded.read_bytes()
 
 
@@ -172,20 +184,16 @@ def gateway():
     rule = ["-s", "vcan0", "-d", "vcan1", "-e"]
     others, torque = [*rule, "-f", "110~7FF"], [*rule, "-f", "110:7FF"]
 
-    def add(*words):
-        tool("cangw", "-A", *words)
-
     def break_it(*how):
         tool("cangw", "-D", *torque)
         if how:
-            add(*torque, *how)
+            tool("cangw", "-A", *torque, *how)
 
     if Path("/sys/class/net/vcan1").exists() is False:
         pytest.skip("NOT TESTED: no vcan1 here; tools/vcan_guest has it")
-    tool("cangw", "-F")
-    add("-s", "vcan1", "-d", "vcan0", "-e")
-    add(*others)
-    add(*torque)
+    added = (["-s", "vcan1", "-d", "vcan0", "-e"], others, torque)
+    commands = [["cangw", "-F"], *(["cangw", "-A", *words] for words in added)]
+    tool("bash", "-c", "; ".join(map(shlex.join, commands)))
     yield break_it
     tool("cangw", "-F")
 
