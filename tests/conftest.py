@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+from collections import Counter
 from pathlib import Path
 
 import hypothesis
@@ -47,10 +48,16 @@ def pytest_configure():
             signal.signal(number, lambda *_: None)
 
 
+def file_of(test):
+    return test.partition("::")[0]
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(items):
     """Mark the costliest tests; skip tests of vcan0 where vcan0 is missing and may be missing."""
     costly = set(LONG.read_text("utf-8").splitlines())
+    files = Counter(map(file_of, costly))
+    items.sort(key=lambda item: -files[file_of(item.nodeid)])  # no long file begins last
     for item in items:
         if item.nodeid in costly:
             item.add_marker(pytest.mark.long)
