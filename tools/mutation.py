@@ -50,7 +50,8 @@ OPTIONS: Final = (
     *("-q", "-s", "--tb=no", "-p", "no:cacheprovider"),
     *("-m", "not vcan and not compiled and not long"),
 )
-SLOWER: Final = 10  # times the usual CPU time of a test, plus 2 s: the test hangs
+SLOWER: Final = 10  # times the usual CPU time of a test, and so many seconds more: the test hangs
+HANGS_S: Final = 2.0
 WAITS_S: Final = 120.0  # and 100 times the usual CPU time of all tests, by the clock on the wall
 TIMEOUT: Final = "timeout"
 NEEDS_IMPORT: Final = "needs import"
@@ -270,7 +271,7 @@ class Session:
         for item, following in zip(items, [*items[1:], None], strict=True):
             begin(item)
             usual_s = self._cpu_s.get(item.nodeid, 60.0)
-            signal.setitimer(signal.ITIMER_PROF, SLOWER * usual_s + 2.0)
+            signal.setitimer(signal.ITIMER_PROF, SLOWER * usual_s + HANGS_S)
             begun_s = time.process_time()
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
             self._cpu_s[item.nodeid] = time.process_time() - begun_s

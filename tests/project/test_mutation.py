@@ -132,6 +132,8 @@ def project(tmp_path: Path) -> Path:
     for name in ("can_rig", "firmware_model", "dbc", "tests/rig", "tests/firmware"):
         (tmp_path / name).mkdir(parents=True)
     shutil.copytree(TOOLS, tmp_path / "tools", ignore=shutil.ignore_patterns("__pycache__"))
+    tool = tmp_path / "tools" / "mutation.py"
+    tool.write_text(tool.read_text().replace("HANGS_S: Final = 2.0", "HANGS_S: Final = 0.3"))
     (tmp_path / "can_rig" / "__init__.py").write_text("")
     (tmp_path / "can_rig" / "clip.py").write_text(CODE)
     (tmp_path / "tests" / "rig" / "test_clip.py").write_text(TESTS)

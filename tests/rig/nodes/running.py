@@ -26,7 +26,7 @@ REPORTED = (
     "true_dstar_mps2,side_slip_rad,yaw_rate_rad_per_s,steering_angle_rad,applied_torque_nm,"
     "applied_force_difference_n"
 )
-LONG = ["--set", "duration_s=2000"]
+LONG = ["--set", "duration_s=200"]
 
 
 class Running(NamedTuple):
