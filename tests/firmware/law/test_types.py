@@ -45,11 +45,13 @@ def errors(tmp_path_factory: pytest.TempPathFactory) -> dict[int, str]:
     return {int(line): text for line, text in found}
 
 
+@pytest.mark.compiled  # mypy says the same of interpreted lines
 @pytest.mark.parametrize("line", WRONG, ids=lambda line: LINES.splitlines()[line - 1].strip())
 def test_a_wrong_line_is_a_type_error(errors: dict[int, str], line: int) -> None:
     assert WRONG[line] in errors[line]
 
 
+@pytest.mark.compiled
 def test_right_lines_are_none(errors: dict[int, str]) -> None:
     assert errors.keys() == WRONG.keys()
 

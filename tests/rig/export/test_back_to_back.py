@@ -81,8 +81,15 @@ def answers_of(law: Law, precision: Precision) -> bytes:
     return b"".join(states_of(law, trials(precision)))
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize(("compiler", "level"), [("gcc", "-O0"), ("gcc", "-O2"), ("clang", "-O3")])
+@pytest.mark.parametrize(
+    ("compiler", "level", "precision"),
+    [
+        ("gcc", "-O0", "float64"),
+        ("gcc", "-O2", "float64"),
+        ("gcc", "-O2", "float32"),
+        ("clang", "-O3", "float32"),
+    ],
+)
 def test_every_bit_of_the_state_is_the_same(
     compiler: str, level: str, precision: Precision
 ) -> None:
