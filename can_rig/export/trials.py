@@ -228,7 +228,7 @@ def random_table(
     for filter in (
         table.tracking.filter, table.estimator.channel_1, table.estimator.channel_2,
         table.estimator.one_plus_q, table.compensator.filter, *(
-            channel for car in (cars.car_1, cars.car_2, cars.car_3, cars.car_4)
+            channel for car in cars.cars
             for channel in (car.channel_1, car.channel_2)
         ),
     ):  # fmt: skip
@@ -236,7 +236,7 @@ def random_table(
         filter.coefficients[:, 3:] *= random.choice([1.0, 0.01])
     for filter in (  # filters of an unstable plant
         table.estimator.measurement, table.tracking.stabiliser, *(
-            car.measurement for car in (cars.car_1, cars.car_2, cars.car_3, cars.car_4)
+            car.measurement for car in cars.cars
         ),
     ):  # fmt: skip
         filter.n = random.choice([0, 0, 1, 2])

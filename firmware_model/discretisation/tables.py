@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import reduce
+from operator import getitem
 from typing import Any, cast
 
 import numpy as np
@@ -280,9 +281,9 @@ def build(design: ContinuousDesign, target: Target) -> Table:
     table.safe_stop.duration = math.ceil(target.safe_stop_s / target.tick_s)
     table.safe_stop.certain = math.ceil(POWERLESS_S / target.tick_s)
     for path, (least, largest) in ranges_of(Table).items():
-        value = reduce(getattr, path, cast(Any, table))
+        value = reduce(getitem, path, cast(Any, table))
         if not least <= value <= largest:
-            what = f"{'.'.join(path)} is {value}: must be from {least} to {largest}"
+            what = f"{'.'.join(map(str, path))} is {value}: must be from {least} to {largest}"
             raise DesignError(f"table of the controller: {what}")
     tables.flags.writeable = False
     made: Table = tables[0]
@@ -396,8 +397,7 @@ def _fill_mismatch(
     rule = RULE_ERROR[target.estimator] ** 2
     constants.n = LOSS_STATES + (len(cars) + 1 if cars or rule else 0)
     model = _factors(design, target)
-    places = (other.car_1, other.car_2, other.car_3, other.car_4)
-    for place, car in zip(places, cars, strict=False):
+    for place, car in zip(other.cars, cars, strict=False):
         factors = sampled_over(car, model, target.estimator, target.tick_s)
         _fill_filter(place.channel_1, factors.numerators[0])
         _fill_filter(place.channel_2, factors.numerators[1])

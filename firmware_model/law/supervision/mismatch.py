@@ -33,10 +33,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
-from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.structs import FloatArray, Records, Struct
 from firmware_model.law.supervision import whitener
 from firmware_model.law.supervision.covariance import (
     LOSS_STATES,
+    MAX_DIRECTIONS,
     MAX_STATES,
     SIZES,
     State as CovarianceState,
@@ -82,10 +83,7 @@ class White(Struct):
 
     lost: Annotated[whitener.State, "y", "w of a confirmed loss"]
     earlier: Annotated[whitener.State, "y", "change of w with the moment of the loss"]
-    car_1: Annotated[whitener.State, "y", "x of the first other car"]
-    car_2: Annotated[whitener.State, "y", "of the second"]
-    car_3: Annotated[whitener.State, "y", "of the third"]
-    car_4: Annotated[whitener.State, "y", "of the fourth"]
+    cars: Annotated[Records[whitener.State], "y", "x of each other car", (MAX_DIRECTIONS,)]
     d_hat: Annotated[whitener.State, "y", "d̂"]
     sensor_error: Annotated[whitener.State, "y", "known error of the sensor"]
     fading: Annotated[whitener.State, "y", "missing output left by earlier losses and returns"]
@@ -136,14 +134,7 @@ def predict_mismatch(
         previous[k] = now
         extent += now * now
         change += moved * moved
-    if table.other_cars.n > 0:
-        x[LOSS_STATES] = whiten(w, white.car_1, shown[0])
-    if table.other_cars.n > 1:
-        x[LOSS_STATES + 1] = whiten(w, white.car_2, shown[1])
-    if table.other_cars.n > 2:
-        x[LOSS_STATES + 2] = whiten(w, white.car_3, shown[2])
-    if table.other_cars.n > 3:
-        x[LOSS_STATES + 3] = whiten(w, white.car_4, shown[3])
+        x[k] = whiten(w, white.cars[i], now)
     if constants.n > LOSS_STATES:
         x[constants.n - 1] = constants.remainder_shown
     moved = model_output - mismatch.previous_model_output
@@ -230,8 +221,8 @@ def clear_mismatch(constants: Constants, state: State) -> None:
     state.previous_residual = 0.0
     white = state.white
     white.lost.memory[:] = white.earlier.memory[:] = 0.0
-    white.car_1.memory[:] = white.car_2.memory[:] = 0.0
-    white.car_3.memory[:] = white.car_4.memory[:] = 0.0
+    for i in range(MAX_DIRECTIONS):
+        white.cars[i].memory[:] = 0.0
     white.d_hat.memory[:] = white.sensor_error.memory[:] = white.fading.memory[:] = 0.0
 
 
@@ -243,10 +234,8 @@ def settle_mismatch(table: Table, state: layout.State, model_output: float) -> N
     learn_loss(table.mismatch, state.mismatch, zero, zero)
     predict_mismatch(table, state, model_output, zero, zero)
     w, white, shown = table.mismatch.whitener, state.mismatch.white, state.other_cars.shown
-    settle_whitener(w, white.car_1, shown[0])
-    settle_whitener(w, white.car_2, shown[1])
-    settle_whitener(w, white.car_3, shown[2])
-    settle_whitener(w, white.car_4, shown[3])
+    for i in range(MAX_DIRECTIONS):
+        settle_whitener(w, white.cars[i], shown[i])
     state.mismatch.change = state.mismatch.rule = state.mismatch.remainder = (
         0.0  # it came there long ago
     )

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 from firmware_model.compiled import firmware
 from firmware_model.law.core import biquad
 from firmware_model.law.core.biquad import advance, output, settle
-from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.structs import FloatArray, Records, Struct
 from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
 
 if TYPE_CHECKING:
@@ -46,20 +46,14 @@ class Constants(Struct):
 
     n: Annotated[int, "1", "principal directions in use", (0, MAX_DIRECTIONS)]
     scale: Annotated[float, "1", "from a car of this table to the end of the box"]
-    car_1: Annotated[Car, "1", "the car along the first direction"]
-    car_2: Annotated[Car, "1", "likewise the second"]
-    car_3: Annotated[Car, "1", "likewise the third"]
-    car_4: Annotated[Car, "1", "likewise the fourth"]
+    cars: Annotated[Records[Car], "1", "the car along each direction", (MAX_DIRECTIONS,)]
 
 
 class State(Struct):
     """State."""
 
     model: Annotated[CarState, "y", "the model, driven by the same commands"]
-    car_1: Annotated[CarState, "y", "the first car"]
-    car_2: Annotated[CarState, "y", "the second car"]
-    car_3: Annotated[CarState, "y", "the third car"]
-    car_4: Annotated[CarState, "y", "the fourth car"]
+    cars: Annotated[Records[CarState], "y", "each car", (MAX_DIRECTIONS,)]
     shown: Annotated[FloatArray, "y", "x_i of this tick", (MAX_DIRECTIONS,)]
     command_1: Annotated[float, "u1", "command 1 in the measurement, without the known loss"]
     command_2: Annotated[float, "u2", "command 2 likewise"]
@@ -77,13 +71,8 @@ def show_other_cars(table: Table, state: layout.State, command_1: float, command
     model += output(table.estimator.channel_2, own.model.channel_2, u2)
     if table.estimator.measurement.n > 0:
         model -= output(table.estimator.measurement, own.model.measurement, y)
-    shown[0] = (car_output(cars.car_1, own.car_1, u1, u2, y) - model) * cars.scale
-    if cars.n > 1:
-        shown[1] = (car_output(cars.car_2, own.car_2, u1, u2, y) - model) * cars.scale
-    if cars.n > 2:
-        shown[2] = (car_output(cars.car_3, own.car_3, u1, u2, y) - model) * cars.scale
-    if cars.n > 3:
-        shown[3] = (car_output(cars.car_4, own.car_4, u1, u2, y) - model) * cars.scale
+    for i in range(cars.n):
+        shown[i] = (car_output(cars.cars[i], own.cars[i], u1, u2, y) - model) * cars.scale
 
 
 @firmware
@@ -96,13 +85,8 @@ def advance_other_cars(table: Table, state: layout.State) -> None:
         advance(table.estimator.channel_1, own.model.channel_1, own.command_1)
         advance(table.estimator.channel_2, own.model.channel_2, own.command_2)
         advance(table.estimator.measurement, own.model.measurement, y)
-        advance_car(cars.car_1, own.car_1, own.command_1, own.command_2, y)
-    if cars.n > 1:
-        advance_car(cars.car_2, own.car_2, own.command_1, own.command_2, y)
-    if cars.n > 2:
-        advance_car(cars.car_3, own.car_3, own.command_1, own.command_2, y)
-    if cars.n > 3:
-        advance_car(cars.car_4, own.car_4, own.command_1, own.command_2, y)
+    for i in range(cars.n):
+        advance_car(cars.cars[i], own.cars[i], own.command_1, own.command_2, y)
 
 
 @firmware
@@ -114,10 +98,8 @@ def settle_other_cars(
     settle(table.estimator.channel_1, own.model.channel_1, command_1)
     settle(table.estimator.channel_2, own.model.channel_2, command_2)
     settle(table.estimator.measurement, own.model.measurement, y)
-    settle_car(cars.car_1, own.car_1, command_1, command_2, y)
-    settle_car(cars.car_2, own.car_2, command_1, command_2, y)
-    settle_car(cars.car_3, own.car_3, command_1, command_2, y)
-    settle_car(cars.car_4, own.car_4, command_1, command_2, y)
+    for i in range(MAX_DIRECTIONS):
+        settle_car(cars.cars[i], own.cars[i], command_1, command_2, y)
     show_other_cars(table, state, command_1, command_2)
 
 
@@ -126,10 +108,8 @@ def clear_other_cars(state: layout.State) -> None:
     """Every car is at rest."""
     own = state.other_cars
     clear_car(own.model)
-    clear_car(own.car_1)
-    clear_car(own.car_2)
-    clear_car(own.car_3)
-    clear_car(own.car_4)
+    for i in range(MAX_DIRECTIONS):
+        clear_car(own.cars[i])
     own.shown[:] = 0.0
     own.command_1 = own.command_2 = 0.0
 
