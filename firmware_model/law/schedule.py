@@ -28,6 +28,7 @@ from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Records, Struct
 from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
 from firmware_model.law.supervision.overflow import is_damaged
+from firmware_model.law.supervision.signatures import ROWS, THROUGH_G1, THROUGH_G2
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
@@ -175,13 +176,15 @@ def turn_models(
     turn(schedule.model.turn_1, own, state.loss_model.channel_1, at, way)
     turn(schedule.model.turn_1, own, state.loss_model.earlier, at, way)
     turn(schedule.model.turn_1, own, state.loss_model.fading, at, way)
-    turn(schedule.model.turn_1, own, state.hypotheses.signatures.torque_offset.answer, at, way)
-    turn(schedule.model.turn_2, own, state.hypotheses.signatures.force_lost.answer, at, way)
     if table.echoes.longest > 0:
         turn(schedule.model.turn_1, own, state.echoes.channel_1.known, at, way)
         turn(schedule.model.turn_2, own, state.echoes.channel_2.known, at, way)
-        turn(schedule.model.turn_1, own, state.hypotheses.signatures.torque_echo.answer, at, way)
-        turn(schedule.model.turn_2, own, state.hypotheses.signatures.force_echo.answer, at, way)
+    for i in range(ROWS):
+        row, one = table.hypotheses.signatures.rows[i], state.hypotheses.signatures.rows[i]
+        if row.through == THROUGH_G1:
+            turn(schedule.model.turn_1, own, one.answer, at, way)
+        elif row.through == THROUGH_G2:
+            turn(schedule.model.turn_2, own, one.answer, at, way)
     cars = state.other_cars
     if table.other_cars.n > 0:
         turn(schedule.model.turn_1, own, cars.model.channel_1, at, way)

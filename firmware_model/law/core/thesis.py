@@ -24,7 +24,7 @@ from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.core.estimator import advance_model, model_output, take_measurement
 from firmware_model.law.core.reference_shaper import tracked_reference
 from firmware_model.law.core.shortfall import make_up
-from firmware_model.law.core.tracking import advance_shortfalls, asked_torque, missing_output, track
+from firmware_model.law.core.tracking import asked_torque, missing_output, track
 from firmware_model.law.precision import real
 from firmware_model.law.status import Mode
 from firmware_model.law.structs import Struct
@@ -119,7 +119,11 @@ def command_force(table: Table, state: layout.State, r: float, loss: float) -> f
 @firmware
 def end_tick(table: Table, state: layout.State, short_1: float, short_2: float) -> None:
     """Advance the models by the commands of this tick, each ``short`` of the asked command."""
-    advance_shortfalls(table, state, short_1, short_2)
+    constants, counts = table.estimator, table.tracking.excuses_limits
+    advance(constants.channel_1, state.shortfall_1, short_1 * counts)
+    missing = advance(constants.channel_2, state.shortfall_2, short_2 * counts)
+    if constants.shown_ticks_2 > 0:
+        state.tracking.delay[state.estimator.shown_index_2] = missing
     advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
 
 
@@ -133,8 +137,9 @@ def run_alone(table: Table, state: layout.State, r: float, y: float) -> None:
     if math.isfinite(y):
         state.measurement = y
     begin_tick(table, state)
-    seen = state.measurement + missing_output(table, state)
-    tracked = tracked_reference(table, state, state.reference)
+    seen = missing_output(table, state.tracking, state.estimator, state.shortfall_2)
+    seen += state.measurement
+    tracked = tracked_reference(table.reference_shaper, state.reference_shaper, state.reference)
     command_torque(table, state, tracked, seen, state.measurement)
     none = real(0.0, held_1)
     state.fault_estimate = command_force(table, state, state.reference, none)

@@ -51,7 +51,6 @@ from firmware_model.law.supervision.covariance import (
 from firmware_model.law.supervision.whitener import settle_whitener, whiten
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
     from firmware_model.law.layout import Table
 
 
@@ -110,21 +109,22 @@ class State(Struct):
 
 @firmware
 def predict_mismatch(
-    table: Table, state: layout.State, model_output: float, lost: float, earlier: float
+    table: Table, known: State, shown: FloatArray, model_output: float, lost: float, earlier: float
 ) -> None:
     """Compute x of this tick and the part of x in the noise variance.
 
     Args:
         table: the constant table.
-        state: changed in place; ``other_cars`` shows this tick.
+        known: changed in place.
+        shown: x_i of this tick, of ``other_cars``.
         model_output: G1 u1 + G2 u2 as contained in d̂.
         lost: w of a confirmed loss as contained in d̂; 0 without loss.
         earlier: the change of w if the loss were one tick older.
     """
-    constants, mismatch, shown = table.mismatch, state.mismatch, state.other_cars.shown
-    x, previous, w, white = mismatch.regressor, mismatch.x, constants.whitener, mismatch.white
+    constants = table.mismatch
+    x, previous, w, white = known.regressor, known.x, constants.whitener, known.white
     extent = change = real(0.0, model_output)
-    if mismatch.covariance.first == 0:
+    if known.covariance.first == 0:
         x[0] = whiten(w, white.lost, lost)
         x[1] = whiten(w, white.earlier, earlier)
     previous[0], previous[1] = lost, earlier
@@ -137,15 +137,15 @@ def predict_mismatch(
         x[k] = whiten(w, white.cars[i], now)
     if constants.n > LOSS_STATES:
         x[constants.n - 1] = constants.remainder_shown
-    moved = model_output - mismatch.previous_model_output
-    mismatch.previous_model_output = model_output
+    moved = model_output - known.previous_model_output
+    known.previous_model_output = model_output
     fading, motion = constants.fading, constants.motion
-    mismatch.extent = max(fading * mismatch.extent, finite(extent))
-    mismatch.change = max(fading * mismatch.change, finite(motion * change))
-    beyond, rule = constants.beyond * mismatch.change, finite(constants.rule * moved * moved)
-    mismatch.rule = max(fading * mismatch.rule, rule)
-    off = difference(table, mismatch)
-    mismatch.remainder = max(beyond * off * off, mismatch.rule)
+    known.extent = max(fading * known.extent, finite(extent))
+    known.change = max(fading * known.change, finite(motion * change))
+    beyond, rule = constants.beyond * known.change, finite(constants.rule * moved * moved)
+    known.rule = max(fading * known.rule, rule)
+    off = difference(table, known)
+    known.remainder = max(beyond * off * off, known.rule)
 
 
 @firmware
@@ -227,18 +227,15 @@ def clear_mismatch(constants: Constants, state: State) -> None:
 
 
 @firmware
-def settle_mismatch(table: Table, state: layout.State, model_output: float) -> None:
+def settle_mismatch(table: Table, known: State, shown: FloatArray, model_output: float) -> None:
     """The steady state that ``other_cars`` shows; nothing is known of the car."""
     zero = real(0.0, model_output)
-    clear_mismatch(table.mismatch, state.mismatch)
-    learn_loss(table.mismatch, state.mismatch, zero, zero)
-    predict_mismatch(table, state, model_output, zero, zero)
-    w, white, shown = table.mismatch.whitener, state.mismatch.white, state.other_cars.shown
+    clear_mismatch(table.mismatch, known)
+    learn_loss(table.mismatch, known, zero, zero)
+    predict_mismatch(table, known, shown, model_output, zero, zero)
     for i in range(MAX_DIRECTIONS):
-        settle_whitener(w, white.cars[i], shown[i])
-    state.mismatch.change = state.mismatch.rule = state.mismatch.remainder = (
-        0.0  # it came there long ago
-    )
+        settle_whitener(table.mismatch.whitener, known.white.cars[i], shown[i])
+    known.change = known.rule = known.remainder = 0.0  # the car came there long ago
 
 
 @firmware

@@ -21,7 +21,6 @@ from firmware_model.law.structs import FloatArray, Records, Struct
 from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
     from firmware_model.law.layout import Table
 
 
@@ -60,13 +59,13 @@ class State(Struct):
 
 
 @firmware
-def show_other_cars(table: Table, state: layout.State, command_1: float, command_2: float) -> None:
-    """Return x of this tick; these commands begin to act on the measurement."""
-    cars, own, shown = table.other_cars, state.other_cars, state.other_cars.shown
+def show_other_cars(table: Table, own: State, y: float, command_1: float, command_2: float) -> None:
+    """Compute x of this tick; these commands begin to act on the measurement ``y``."""
+    cars, shown = table.other_cars, own.shown
     own.command_1, own.command_2 = command_1, command_2
     if cars.n == 0:
         return
-    u1, u2, y = command_1, command_2, state.estimator.measured
+    u1, u2 = command_1, command_2
     model = output(table.estimator.channel_1, own.model.channel_1, u1)
     model += output(table.estimator.channel_2, own.model.channel_2, u2)
     if table.estimator.measurement.n > 0:
@@ -76,11 +75,11 @@ def show_other_cars(table: Table, state: layout.State, command_1: float, command
 
 
 @firmware
-def advance_other_cars(table: Table, state: layout.State) -> None:
+def advance_other_cars(table: Table, own: State, y: float, command_2: float) -> None:
     """Advance every car by the commands of ``show_other_cars``, or what became of command 2."""
-    cars, own, y = table.other_cars, state.other_cars, state.estimator.measured
+    cars = table.other_cars
     if table.estimator.shown_ticks_2 == 0:
-        own.command_2 = state.command_2
+        own.command_2 = command_2
     if cars.n > 0:
         advance(table.estimator.channel_1, own.model.channel_1, own.command_1)
         advance(table.estimator.channel_2, own.model.channel_2, own.command_2)
@@ -91,22 +90,21 @@ def advance_other_cars(table: Table, state: layout.State) -> None:
 
 @firmware
 def settle_other_cars(
-    table: Table, state: layout.State, command_1: float, command_2: float
+    table: Table, own: State, y: float, command_1: float, command_2: float
 ) -> None:
-    """The steady state for constant commands."""
-    cars, own, y = table.other_cars, state.other_cars, state.estimator.measured
+    """The steady state for constant commands and a constant measurement."""
+    cars = table.other_cars
     settle(table.estimator.channel_1, own.model.channel_1, command_1)
     settle(table.estimator.channel_2, own.model.channel_2, command_2)
     settle(table.estimator.measurement, own.model.measurement, y)
     for i in range(MAX_DIRECTIONS):
         settle_car(cars.cars[i], own.cars[i], command_1, command_2, y)
-    show_other_cars(table, state, command_1, command_2)
+    show_other_cars(table, own, y, command_1, command_2)
 
 
 @firmware
-def clear_other_cars(state: layout.State) -> None:
+def clear_other_cars(own: State) -> None:
     """Every car is at rest."""
-    own = state.other_cars
     clear_car(own.model)
     for i in range(MAX_DIRECTIONS):
         clear_car(own.cars[i])

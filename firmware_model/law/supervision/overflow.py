@@ -16,10 +16,9 @@ from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SHOWN_TICKS
 from firmware_model.law.supervision.bumpless_transfer import release
 from firmware_model.law.supervision.corroboration import settle_corroboration
 from firmware_model.law.supervision.covariance import LOSS_STATES
-from firmware_model.law.supervision.decision import CLEAR, compensated_output
+from firmware_model.law.supervision.decision import CLEAR, compensated_output, restart_test
 from firmware_model.law.supervision.echoes import KEPT_TICKS
-from firmware_model.law.supervision.likelihood_ratio import start_candidate
-from firmware_model.law.supervision.loss_model import clear_loss_model
+from firmware_model.law.supervision.loss_model import clear_loss_model, lost_command
 from firmware_model.law.supervision.mismatch import clear_mismatch
 from firmware_model.law.supervision.other_cars import clear_other_cars, show_other_cars
 from firmware_model.law.supervision.prediction import clear_prediction
@@ -47,8 +46,8 @@ def clear_memories(table: Table, state: State) -> None:
     clear_mismatch(table.mismatch, state.mismatch)
     if not math.isfinite(sum_of_models(table, state)):
         clear_models(state)
-    start_candidate(table, state)
-    clear_hypotheses(state)
+    restart_test(table, state)
+    clear_hypotheses(state.hypotheses)
     settle_witness(state.witness, real(0.0, state.command_1))
     settle_corroboration(state.corroboration)
     clear_prediction(state.prediction)
@@ -95,8 +94,10 @@ def sum_of_models(table: Table, state: State) -> float:
     """Sum of all memories of the commands: not finite if one memory is lost."""
     zero = real(0.0, state.command_1)
     model_1, model_2 = model_output(table.estimator, state.estimator, zero, zero)
-    known = model_1 + model_2 + compensated_output(table, state) + missing_output(table, state)
-    show_other_cars(table, state, zero, zero)
+    lost = lost_command(state.fault_state, state.command_1)
+    known = model_1 + model_2 + compensated_output(table, state.loss_model, state.echoes, lost)
+    known += missing_output(table, state.tracking, state.estimator, state.shortfall_2)
+    show_other_cars(table, state.other_cars, state.estimator.measured, zero, zero)
     for i in range(table.other_cars.n):
         known += state.other_cars.shown[i]
     force = output(table.compensator.filter, state.compensator.filter, zero)
@@ -117,8 +118,8 @@ def clear_models(state: State) -> None:
     state.actuator_1.rounded_off = state.actuator_2.rounded_off = 0.0
     state.compensator.filter.accumulators[:] = 0.0
     clear_estimator(state.estimator)
-    clear_loss_model(state)
-    clear_other_cars(state)
+    clear_loss_model(state.loss_model)
+    clear_other_cars(state.other_cars)
     release(state.bumpless_transfer)
     state.takeover.pending = UNKNOWN
     state.fault_state = CLEAR
