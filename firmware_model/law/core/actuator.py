@@ -16,8 +16,7 @@ from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
-    from firmware_model.law.layout import Table
+    from firmware_model.law.core import thesis
 
 
 class Constants(Struct):
@@ -63,7 +62,9 @@ def quantise(actuator: Constants, state: State, command: float) -> float:
 
 
 @firmware
-def command_possible(table: Table, state: layout.State, wanted_1: float, wanted_2: float) -> None:
+def command_possible(
+    table: thesis.Table, state: thesis.State, wanted_1: float, wanted_2: float
+) -> None:
     """Limit both wanted commands to the range of the actuators."""
     possible = saturate_rate(table.actuator_1, wanted_1, state.command_1)
     state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)

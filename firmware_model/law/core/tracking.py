@@ -28,8 +28,7 @@ from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
 
 if TYPE_CHECKING:
-    from firmware_model.law.core import estimator
-    from firmware_model.law.layout import Table
+    from firmware_model.law.core import estimator, thesis
 
 
 class Constants(Struct):
@@ -55,7 +54,7 @@ class State(Struct):
 
 @firmware
 def missing_output(
-    table: Table, own: State, model: estimator.State, shortfall_2: biquad.State
+    table: thesis.Table, own: State, model: estimator.State, shortfall_2: biquad.State
 ) -> float:
     """Return G2 (asked - possible) in the measurement of this tick."""
     if table.estimator.shown_ticks_2 > 0:
