@@ -43,6 +43,7 @@ FILTER = (MAX_SPEEDS, MAX_SECTIONS * 5)
 TURN = (MAX_SPEEDS, SIZE * SIZE)
 GAIN = (MAX_SPEEDS, MAX_SECTIONS * 2)
 EACH = (MAX_SPEEDS,)
+OF_G1, OF_G2 = THROUGH_G1, THROUGH_G2
 BAND = 0.95  # a car at the lowest speed does not alternate between standby and run
 
 
@@ -181,15 +182,15 @@ def turn_models(
         turn(schedule.model.turn_2, own, state.echoes.channel_2.known, at, way)
     for i in range(ROWS):
         row, one = table.hypotheses.signatures.rows[i], state.hypotheses.signatures.rows[i]
-        if row.through == THROUGH_G1:
+        if row.through == OF_G1:
             turn(schedule.model.turn_1, own, one.answer, at, way)
-        elif row.through == THROUGH_G2:
+        elif row.through == OF_G2:
             turn(schedule.model.turn_2, own, one.answer, at, way)
-    cars = state.other_cars
-    if table.other_cars.n > 0:
+    cars, n = state.other_cars, table.other_cars.n
+    if n > 0:
         turn(schedule.model.turn_1, own, cars.model.channel_1, at, way)
         turn(schedule.model.turn_2, own, cars.model.channel_2, at, way)
-    for i in range(table.other_cars.n):
+    for i in range(n):
         turn(schedule.cars[i].turn_1, own, cars.cars[i].channel_1, at, way)
         turn(schedule.cars[i].turn_2, own, cars.cars[i].channel_2, at, way)
 

@@ -55,8 +55,8 @@ from firmware_model.law.supervision.other_cars import show_other_cars
 from firmware_model.law.supervision.sensor_error import sensor_error_shown
 from firmware_model.law.supervision.signatures import (
     FORCE_ECHO_ROW,
-    FORCE_ROW,
     begin_all,
+    keep_before,
     weigh_signatures,
 )
 from firmware_model.law.supervision.verdict import (
@@ -126,8 +126,7 @@ def decide(
         restart_test(table, state)
     command_2 = state.other_cars.command_2
     weigh_signatures(table, own.signatures, known, heard, command_2, own.verdict, new)
-    if not test.age > 0.0:  # the candidate for channel 1 begins again
-        own.signatures.before = own.signatures.rows[FORCE_ROW].candidate.evidence
+    keep_before(own.signatures, test.age)
     expected = model_1 + model_2 - fading - loss.share * w
     weigh_frozen(table, own.frozen, known, state.measurement, new, expected)
     take_evidence(

@@ -124,6 +124,13 @@ def weigh_signatures(
 
 
 @firmware
+def keep_before(own: State, test_age: float) -> None:
+    """Note the evidence of a lost channel 2 where the candidate for channel 1 begins again."""
+    if not test_age > 0.0:
+        own.before = own.rows[FORCE_ROW].candidate.evidence
+
+
+@firmware
 def add_missing(own: State, shown: float, residual: float) -> None:
     """Take in how y follows channel 2."""
     own.commanded += shown * shown
