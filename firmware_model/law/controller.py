@@ -27,7 +27,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from firmware_model.compiled import firmware
-from firmware_model.law.core.actuator import quantise, saturate
+from firmware_model.law.core.actuator import nearer_to_zero, quantise, saturate
 from firmware_model.law.core.biquad import advance, settle
 from firmware_model.law.core.estimator import model_output, settle_estimator, take_measurement
 from firmware_model.law.core.reference_shaper import start, tracked_reference
@@ -90,10 +90,10 @@ from firmware_model.law.supervision.prediction import (
     stand_in,
     turn_to_witness,
 )
-from firmware_model.law.supervision.safe_stop import stops, take_commands_back
+from firmware_model.law.supervision.safe_stop import both_lost, is_blind, ticks_left
 from firmware_model.law.supervision.sensor_error import advance_sensor_error
 from firmware_model.law.supervision.signatures import advance_signatures
-from firmware_model.law.supervision.standby import stands_by, take_commands_down
+from firmware_model.law.supervision.standby import stands_by, ticks_left_in_standby
 from firmware_model.law.supervision.takeover import (
     AT_REST,
     BEGUN,
@@ -108,6 +108,7 @@ from firmware_model.law.supervision.takeover import (
     wanted_level,
 )
 from firmware_model.law.supervision.verdict import (
+    BOTH_LOST,
     NOTHING,
     SENSOR_FROZEN,
     SENSOR_WRONG,
@@ -175,14 +176,14 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         use_samples(state.witness)
     seen = (measured and state.witness.denied == 0) or state.witness.left > 0
     predicts = table.prediction.enabled == 1 and state.takeover.pending == BEGUN
+    suspected = state.fault_state == CONFIRMED or state.hypotheses.verdict == BOTH_LOST
+    lost = both_lost(table, state.safe_stop, suspected, state.monitor.powerless)
     if table.supervised == 0:
         run_alone(table, state, r, y)
-    elif stops(table, state, told and seen):
-        take_commands_back(table, state)
-        go_on(table, state)
-        state.mode = MODE_SAFE_STOP
+    elif lost or is_blind(table, state.prediction, told and seen):
+        stop(table, state, lost)
     elif stands_by(table, state.standby, told and measured):
-        take_commands_down(table, state)
+        nearer_to_zero(table, state, ticks_left_in_standby(table, state.standby))
         go_on(table, state)
         clear_prediction(state.prediction)
         state.mode = MODE_STANDBY
@@ -198,6 +199,17 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         go_on(table, state)
         state.mode = MODE_BLIND
     take_away(table, state, r, y)
+
+
+@firmware
+def stop(table: Table, state: State, lost: bool) -> None:
+    """A tick of a safe stop, because both actuators are ``lost`` or an input is missing."""
+    if lost:
+        state.hypotheses.verdict = BOTH_LOST
+    left = ticks_left(table, state.safe_stop, state.prediction.elapsed, lost)
+    nearer_to_zero(table, state, left)
+    go_on(table, state)
+    state.mode = MODE_SAFE_STOP
 
 
 @firmware

@@ -29,6 +29,7 @@ from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Records, Struct
 from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
 from firmware_model.law.supervision.overflow import is_damaged
 from firmware_model.law.supervision.signatures import ROWS, THROUGH_G1, THROUGH_G2
+from firmware_model.law.supervision.standby import note_speed
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
@@ -44,7 +45,6 @@ TURN = (MAX_SPEEDS, SIZE * SIZE)
 GAIN = (MAX_SPEEDS, MAX_SECTIONS * 2)
 EACH = (MAX_SPEEDS,)
 OF_G1, OF_G2 = THROUGH_G1, THROUGH_G2
-BAND = 0.95  # a car at the lowest speed does not alternate between standby and run
 
 
 class Models(Struct):
@@ -100,26 +100,18 @@ def change_speed(
     v = real(speed, own.place)
     if not math.isfinite(v):
         return
-    note_speed(state, v, schedule.speed[0])
+    note_speed(state.standby, v, schedule.speed[0])
     if table.witness.longest > 0:
         table.witness.speed = v
     place = place_of(schedule, v)
-    if place == own.place or is_damaged(state):
+    if place == own.place or is_damaged(
+        state.estimator, state.echoes, state.witness, state.mismatch
+    ):
         return
     move(schedule, own, table, state, place)
     own.place = place
     at = int(place)
     blend(schedule, table, at, place - real(at, place))
-
-
-@firmware
-def note_speed(state: layout.State, speed: float, lowest: float) -> None:
-    """Find out whether a car of this ``speed`` is slower than the ``lowest`` design, m/s."""
-    enters = real(BAND, lowest) * lowest
-    if speed < enters or (state.standby.slow > 0 and speed < lowest):
-        state.standby.slow = 1
-    else:
-        state.standby.slow = 0
 
 
 @firmware

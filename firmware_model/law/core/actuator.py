@@ -70,3 +70,13 @@ def command_possible(
     state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)
     possible = saturate_rate(table.actuator_2, wanted_2, state.command_2)
     state.command_2 = quantise(table.actuator_2, state.actuator_2, possible)
+
+
+@firmware
+def nearer_to_zero(table: thesis.Table, state: thesis.State, left: float) -> None:
+    """A tick on a straight line of both commands to zero, of which so many ticks are ``left``."""
+    one = real(1.0, left)
+    share = real(0.0, left)
+    if left > one:
+        share = (left - one) / left
+    command_possible(table, state, share * state.command_1, share * state.command_2)

@@ -27,7 +27,9 @@ from firmware_model.law.supervision.verdict import clear_hypotheses
 from firmware_model.law.supervision.witness import settle_witness
 
 if TYPE_CHECKING:
+    from firmware_model.law.core import estimator
     from firmware_model.law.layout import State, Table
+    from firmware_model.law.supervision import echoes, mismatch, witness
 
 
 @firmware
@@ -55,19 +57,19 @@ def clear_memories(table: Table, state: State) -> None:
 
 
 @firmware
-def is_damaged(state: State) -> bool:
+def is_damaged(
+    own: estimator.State, heard: echoes.State, seen: witness.State, known: mismatch.State
+) -> bool:
     """Whether an index lies outside its array: no tick leaves it so, but a flipped bit does."""
-    own = state.estimator
     late = outside(own.delay_index, MAX_LATENCY_TICKS)
     dead_1 = outside(own.dead_index_1, MAX_LATENCY_TICKS)
     dead_2 = outside(own.dead_index_2, MAX_LATENCY_TICKS)
     shown_1 = outside(own.shown_index_1, MAX_SHOWN_TICKS)
     shown_2 = outside(own.shown_index_2, MAX_SHOWN_TICKS)
-    echoes = outside(state.echoes.index, KEPT_TICKS)
-    witness = outside(state.witness.index, KEPT_TICKS)
-    covariance = outside(state.mismatch.covariance.first, LOSS_STATES + 1)
+    samples = outside(heard.index, KEPT_TICKS) or outside(seen.index, KEPT_TICKS)
+    covariance = outside(known.covariance.first, LOSS_STATES + 1)
     rings: bool = late or dead_1 or dead_2 or shown_1 or shown_2
-    return rings or echoes or witness or covariance
+    return rings or samples or covariance
 
 
 @firmware
@@ -79,7 +81,7 @@ def outside(index: int, size: int) -> bool:
 @firmware
 def repair(table: Table, state: State) -> None:
     """A damaged state trusts nothing but its commands, as if they had stood for long."""
-    if not is_damaged(state):
+    if not is_damaged(state.estimator, state.echoes, state.witness, state.mismatch):
         return
     one, two = state.command_1, state.command_2
     settle_estimator(table.estimator, state.estimator, one, two, real(0.0, one))
@@ -101,9 +103,9 @@ def sum_of_models(table: Table, state: State) -> float:
     for i in range(table.other_cars.n):
         known += state.other_cars.shown[i]
     force = output(table.compensator.filter, state.compensator.filter, zero)
-    estimator, lost_1, lost_2 = table.estimator, state.shortfall_1, state.shortfall_2
-    force += make_up(table.shortfall_1, estimator.channel_1, table.actuator_1, lost_1)
-    force += make_up(table.shortfall_2, estimator.channel_2, table.actuator_2, lost_2)
+    constants, lost_1, lost_2 = table.estimator, state.shortfall_1, state.shortfall_2
+    force += make_up(table.shortfall_1, constants.channel_1, table.actuator_1, lost_1)
+    force += make_up(table.shortfall_2, constants.channel_2, table.actuator_2, lost_2)
     total: float = known + force + state.reference_shaper.shaped
     return total
 
