@@ -27,7 +27,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from firmware_model.compiled import firmware
-from firmware_model.law.core.actuator import nearer_to_zero, quantise, saturate
+from firmware_model.law.core.actuator import quantise, saturate
 from firmware_model.law.core.biquad import advance, settle
 from firmware_model.law.core.estimator import model_output, settle_estimator, take_measurement
 from firmware_model.law.core.reference_shaper import start, tracked_reference
@@ -38,6 +38,7 @@ from firmware_model.law.core.thesis import (
     command_force,
     command_torque,
     end_tick,
+    nearer_to_zero,
     run_alone,
 )
 from firmware_model.law.core.tracking import missing_output, settle_tracking, track_on
@@ -265,7 +266,7 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
     y = measurement_or_prediction(table, state, y, measured, model)
     tracked = tracked_reference(table.reference_shaper, state.reference_shaper, r)
     seen = y + state.prediction.fading
-    seen += missing_output(table, state.tracking, state.estimator, state.shortfall_2)
+    seen += missing_output(table.estimator, state.tracking, state.estimator, state.shortfall_2)
     command_torque(table, state, tracked, seen, y)
 
     # Without feedthrough of u2 the sum is the residual; with feedthrough u2 of this tick is

@@ -28,7 +28,7 @@ from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
 
 if TYPE_CHECKING:
-    from firmware_model.law.core import estimator, thesis
+    from firmware_model.law.core import estimator
 
 
 class Constants(Struct):
@@ -54,13 +54,13 @@ class State(Struct):
 
 @firmware
 def missing_output(
-    table: thesis.Table, own: State, model: estimator.State, shortfall_2: biquad.State
+    constants: estimator.Constants, own: State, model: estimator.State, shortfall_2: biquad.State
 ) -> float:
     """Return G2 (asked - possible) in the measurement of this tick."""
-    if table.estimator.shown_ticks_2 > 0:
+    if constants.shown_ticks_2 > 0:
         missing: float = own.delay[model.shown_index_2]
         return missing
-    return output(table.estimator.channel_2, shortfall_2, real(0.0, own.error))
+    return output(constants.channel_2, shortfall_2, real(0.0, own.error))
 
 
 @firmware

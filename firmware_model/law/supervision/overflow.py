@@ -98,7 +98,7 @@ def sum_of_models(table: Table, state: State) -> float:
     model_1, model_2 = model_output(table.estimator, state.estimator, zero, zero)
     lost = lost_command(state.fault_state, state.command_1)
     known = model_1 + model_2 + compensated_output(table, state.loss_model, state.echoes, lost)
-    known += missing_output(table, state.tracking, state.estimator, state.shortfall_2)
+    known += missing_output(table.estimator, state.tracking, state.estimator, state.shortfall_2)
     show_other_cars(table, state.other_cars, state.estimator.measured, zero, zero)
     for i in range(table.other_cars.n):
         known += state.other_cars.shown[i]

@@ -46,7 +46,9 @@ def run(table: Any, state: Any, measured: NDArray[Any] = MEASURED) -> Columns:
         controller.step(table, state, reference, y)
         known = state.mismatch
         judged = known.previous_residual, known.previous_model_output
-        missing = missing_output(table, state.tracking, state.estimator, state.shortfall_2)
+        missing = missing_output(
+            table.estimator, state.tracking, state.estimator, state.shortfall_2
+        )
         rows.append([*(state[name] for name in NAMES), *judged, missing, *made_up])
     names = (*NAMES, "judged", "modelled", "missing", "made_up_1", "made_up_2")
     return dict(zip(names, np.array(rows, dtype=np.float64).T, strict=True))
