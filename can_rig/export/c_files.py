@@ -273,9 +273,11 @@ def declarator(kind: Type, c_name: str, constant: bool) -> str:
     match kind:
         case Record():
             return f"{const}struct {kind.struct.tag} *{c_name}"
-        case Array(element=element, shape=(_,)):
+        case Array(element=Record() as element):
+            return declarator(element, c_name, constant)
+        case Array(element=Scalar() as element, shape=(_,)):
             return f"{const}{element.c} *{c_name}"
-        case Array(element=element, shape=(_, *rest)):
+        case Array(element=Scalar() as element, shape=(_, *rest)):
             sizes = "".join(f"[{size}]" for size in rest)
             return f"{const}{element.c} (*{c_name}){sizes}"
         case Scalar():
@@ -840,11 +842,11 @@ class _CFiles:
         return [*lines, "};"]
 
     def _member(self, field: Field) -> str:
+        sizes = "".join(f"[{size}]" for size in field.shape)
         if isinstance(field.kind, type):
             struct = self._program.sources.struct(field.kind)
             assert struct is not None
-            return f"struct {struct.tag} {name(field.name)}"
-        sizes = "".join(f"[{size}]" for size in field.shape)
+            return f"struct {struct.tag} {name(field.name)}{sizes}"
         return f"{'real' if field.kind == 'real' else 'int32_t'} {name(field.name)}{sizes}"
 
     def _source(self, module: Module) -> list[str]:
@@ -922,8 +924,14 @@ def _members(struct: type[Struct], record: Any, precision: Precision, indent: st
     zeros, fields = 0, fields_of(struct)
     for field in fields:
         value = record[field.name]
-        if isinstance(field.kind, type):
-            inside = list(_members(field.kind, value, precision, indent + INDENT))
+        if isinstance(field.kind, type) and field.shape:
+            yield f"{indent}.{name(field.name)} = {{"
+            for each in value:
+                inside = _members(field.kind, each, precision, indent + 2 * INDENT)
+                yield from (f"{indent}{INDENT}{{", *inside, f"{indent}{INDENT}}},")
+            yield f"{indent}}},"
+        elif isinstance(field.kind, type):
+            inside = _members(field.kind, value, precision, indent + INDENT)
             yield from (f"{indent}.{name(field.name)} = {{", *inside, f"{indent}}},")
         elif _is_zero(np.asarray(value)):
             zeros += 1

@@ -220,15 +220,16 @@ class _Pass:
             self._store(target, value, ranges)
 
     def _store(self, target: ast.expr, value: Range | None, ranges: Ranges) -> None:
-        if isinstance(target, ast.Subscript):
+        if isinstance(target, ast.Subscript | ast.Attribute):
             self._of(target, ranges)
+        if isinstance(target, ast.Subscript):
             return
         path, last = ast.unparse(target), getattr(target, "attr", "")
         same = f".{last}" if last else None
         for other in list(ranges):  # other names of the same memory, and members of the old record
             if other == path or other.startswith(f"{path}.") or (same and other.endswith(same)):
                 del ranges[other]
-        if value is not None:
+        if value is not None and not _in_array(target):
             ranges[path] = value
         if isinstance(target, ast.Attribute) and self._type_of(target) is INT:
             owner = self._type_of(target.value)
@@ -343,6 +344,7 @@ class _Pass:
 
     def _of_path(self, node: ast.Attribute, ranges: Ranges) -> Range | None:
         owner, kind = self._type_of(node.value), self._type_of(node)
+        self._of(node.value, ranges)
         if kind not in (INT, REAL) or not isinstance(owner, Record):
             return None
         known = ranges.get(ast.unparse(node))
@@ -457,7 +459,7 @@ class _Pass:
         self, node: ast.expr, op: type[ast.cmpop], limit: Range, ranges: Ranges
     ) -> Ranges | None:
         """The ranges where the number at ``node`` compares so with one of ``limit``."""
-        if not isinstance(node, ast.Name | ast.Attribute):
+        if not isinstance(node, ast.Name | ast.Attribute) or _in_array(node):
             return ranges
         least, largest = self._of(node, ranges) or ANY
         step = 1 if self._type_of(node) is INT else 0
@@ -471,6 +473,11 @@ class _Pass:
         if op in (ast.Gt, ast.GtE, ast.Eq):
             least = max(least, limit[0] + step * (op is ast.Gt))
         return {**ranges, ast.unparse(node): (least, largest)} if least <= largest else None
+
+
+def _in_array(node: ast.expr) -> bool:
+    """Whether ``node`` is a field of an element: the same text, another element in a later turn."""
+    return any(isinstance(each, ast.Subscript) for each in ast.walk(node))
 
 
 def _declared(struct: CStruct, name: str) -> Range | None:

@@ -204,11 +204,17 @@ def _spans(tag: str, memory: list[tuple[str, type[Struct]]], precision: Precisio
             if spans and is_real and spans[-1][2] and offset == end:
                 spans[-1] = (spans[-1][0], spans[-1][1] + count, True)
             else:
-                spans.append((begin + ".".join(map(name, path)), count, is_real))
+                spans.append((begin + _member(path), count, is_real))
             end = offset + kind.itemsize
         for place, count, is_real in spans:
             yield f"    {{offsetof(struct {tag}, {place}), {count}, {str(is_real).lower()}}},"
     yield "    {0, 0, false},"
+
+
+def _member(path: tuple[str | int, ...]) -> str:
+    """A path of Python as C writes the path."""
+    steps = (f"[{each}]" if isinstance(each, int) else f".{name(each)}" for each in path)
+    return "".join(steps).removeprefix(".")
 
 
 def self_test_data(of: Scheduled, amplitude: float, hears: bool) -> str:

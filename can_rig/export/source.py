@@ -70,7 +70,7 @@ class Record:
 class Array:
     """An array of fixed size, which functions get by its address."""
 
-    element: Scalar
+    element: Scalar | Record
     shape: tuple[int, ...]
 
 
@@ -93,6 +93,8 @@ def in_words(type_: Type) -> str:
             return name
         case Record(struct=struct):
             return f"the struct {struct.tag}"
+        case Array(element=Record(struct=struct), shape=shape):
+            return f"an array of {shape[0]} structs {struct.tag}"
         case Array(shape=shape):
             return f"an array of shape {shape}"
         case Answers(items=items):

@@ -391,11 +391,10 @@ class Typed:
             scalar = REAL if field.kind == "real" else INT
             return Array(scalar, field.shape) if field.shape else scalar
         struct = self._program.sources.struct(field.kind)
-        if struct is None or field.shape:
-            raise self._refuse(
-                node, f"{node.attr}: must be one struct that a module declares by name"
-            )
-        return Record(struct)
+        if struct is None:
+            what = f"{node.attr}: must be a struct that a module declares by name"
+            raise self._refuse(node, what)
+        return Array(Record(struct), field.shape) if field.shape else Record(struct)
 
     def _subscript(self, node: ast.Subscript) -> Type:
         array = self._of(node.value)
@@ -412,6 +411,8 @@ class Typed:
                 if at is not None and not 0 <= at < size:
                     raise self._refuse(node, f"{{}}: index {at} must be from 0 to {size - 1}")
             return array.element
+        if isinstance(array.element, Record):
+            raise self._refuse(node, f"{{}} is {in_words(array)}: must have an index")
         if len(indices) > 1 and isinstance(node.ctx, ast.Load):
             raise self._refuse(node, f"{{}}: a part of {len(indices)} dimensions must be filled")
         return Array(array.element, tuple(self._extent(index, size) for index, size in pairs))

@@ -44,6 +44,12 @@ from firmware_model.law.structs import (
 )
 from firmware_model.law.supervision.covariance import LOSS_STATES
 from firmware_model.law.supervision.echoes import KEPT_TICKS, missing_command
+from firmware_model.law.supervision.signatures import (
+    FORCE_ECHO_ROW,
+    FORCE_ROW,
+    OFFSET_ROW,
+    TORQUE_ECHO_ROW,
+)
 from firmware_model.law.supervision.verdict import FORCE_LOST, TORQUE_OFFSET
 from firmware_model.law.supervision.whitener import WHITENER_SECTIONS
 
@@ -64,8 +70,9 @@ SUMS = {
     "echoes.channel_1": ("missing", "off", "power", "stray", "swing"),
     "echoes.channel_2": ("missing", "off", "power", "stray", "swing"),
     "hypotheses.signatures": ("commanded", "missing", "before", "jump"),
-    **{f"hypotheses.signatures.{row}.candidate": ("evidence", "correlation", "information", "age")
-       for row in ("force_echo", "torque_echo", "force_lost", "torque_offset")},
+    **{f"hypotheses.signatures.rows.{row}.candidate":
+       ("evidence", "correlation", "information", "age")
+       for row in (FORCE_ECHO_ROW, TORQUE_ECHO_ROW, FORCE_ROW, OFFSET_ROW)},
     "hypotheses.frozen": ("repetitions",),
     "sequential_test": ("evidence", "correlation", "information", "age"),
 }  # fmt: skip
@@ -208,8 +215,11 @@ def fill(
 @cache
 def _real_fields(dtype: np.dtype[Any], begin: int = 0) -> tuple[tuple[int, int], ...]:
     """Offset and length of each field of real numbers."""
-    if dtype.names is None:
+    if dtype.base.names is None:
         return ((begin, math.prod(dtype.shape)),) if dtype.base.kind == "f" else ()
+    if dtype.names is None:  # an array of structs
+        begins = [begin + i * dtype.base.itemsize for i in range(math.prod(dtype.shape))]
+        return tuple(each for at in begins for each in _real_fields(dtype.base, at))
     parts = (dtype.fields[name][:2] for name in dtype.names) if dtype.fields else ()
     return tuple(each for kind, offset in parts for each in _real_fields(kind, begin + offset))
 
@@ -228,7 +238,7 @@ def random_table(
     for filter in (
         table.tracking.filter, table.estimator.channel_1, table.estimator.channel_2,
         table.estimator.one_plus_q, table.compensator.filter, *(
-            channel for car in (cars.car_1, cars.car_2, cars.car_3, cars.car_4)
+            channel for car in cars.cars
             for channel in (car.channel_1, car.channel_2)
         ),
     ):  # fmt: skip
@@ -236,7 +246,7 @@ def random_table(
         filter.coefficients[:, 3:] *= random.choice([1.0, 0.01])
     for filter in (  # filters of an unstable plant
         table.estimator.measurement, table.tracking.stabiliser, *(
-            car.measurement for car in (cars.car_1, cars.car_2, cars.car_3, cars.car_4)
+            car.measurement for car in cars.cars
         ),
     ):  # fmt: skip
         filter.n = random.choice([0, 0, 1, 2])
@@ -247,6 +257,8 @@ def random_table(
     estimator.shown_ticks_1 = estimator.latency_ticks + estimator.dead_ticks_1
     estimator.shown_ticks_2 = estimator.latency_ticks + estimator.dead_ticks_2
     cars.n = random.integers(0, 5)
+    for row in table.hypotheses.signatures.rows:
+        row.fault, row.through, row.input = random.integers((1, 0, 0), (8, 3, 5))
     table.mismatch.whitener.n = random.integers(0, WHITENER_SECTIONS + 1)
     table.mismatch.n = 0 if random.random() < 0.1 else cars.n + 3
     table.reference_shaper.enabled = random.integers(0, 2)
@@ -298,7 +310,8 @@ def make_plausible(random: np.random.Generator, table: Any, even: bool) -> None:
         hypotheses.both_lost = random.exponential()
         witness.noise, witness.doubt, witness.nearer, witness.keep = random.exponential(0.5, 4)
         for size in (
-            echoes.share, echoes.wrong, hypotheses.torque_lost, hypotheses.signatures.force_lost
+            echoes.wrong, hypotheses.torque_lost,
+            *(row.limits for row in hypotheses.signatures.rows),
         ):  # fmt: skip
             size.least, size.most = np.sort(random.standard_normal(2))
         for actuator in (echoes.actuator_1, echoes.actuator_2):
@@ -375,7 +388,7 @@ def fill_witness(random: np.random.Generator, table: Any, state: Any) -> None:
     if random.random() < 0.4:  # about as far off as the lost torque that its echo reports
         actuator, echo = table.echoes.actuator_1, state.echoes.channel_1
         answer, missing = (
-            state.hypotheses.signatures.torque_echo.answer,
+            state.hypotheses.signatures.rows[TORQUE_ECHO_ROW].answer,
             missing_command(actuator, echo),
         )
         shown = output(table.estimator.channel_1, answer, missing)
@@ -390,7 +403,7 @@ def fill_witness(random: np.random.Generator, table: Any, state: Any) -> None:
 def part_of(record: Any, where: str) -> Any:
     """The record at a path of names with dots."""
     for name in where.split("."):
-        record = record[name]
+        record = record[int(name)] if name.isdigit() else getattr(record, name)
     return record
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import reduce
+from operator import getitem
 from typing import Any, cast
 
 import numpy as np
@@ -27,11 +28,22 @@ from firmware_model.errors import DesignError, ParameterError
 from firmware_model.law.core import biquad
 from firmware_model.law.core.estimator import Constants as EstimatorConstants
 from firmware_model.law.layout import Table
+from firmware_model.law.status import Verdict
 from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, ranges_of, zeroed
 from firmware_model.law.supervision import whitener
 from firmware_model.law.supervision.covariance import LOSS_STATES, MAX_DIRECTIONS
 from firmware_model.law.supervision.echoes import Constants as EchoesConstants
 from firmware_model.law.supervision.frozen import Constants as FrozenConstants
+from firmware_model.law.supervision.signatures import (
+    COMMAND_2,
+    MINUS_ONE,
+    MISSING_1,
+    MISSING_2,
+    RAMP,
+    THROUGH_G1,
+    THROUGH_G2,
+    THROUGH_M,
+)
 from firmware_model.law.supervision.witness import Constants as WitnessConstants
 
 AHEAD = 2.0  # least ratio of a found fault's evidence to faults at other places
@@ -51,13 +63,19 @@ def fill_hypotheses(table: Table, target: Target) -> None:
     signatures.candidate.restart = table.sequential_test.restart
     signatures.candidate.lifetime = table.decision.horizon
     signatures.candidate.promising = table.decision.suspect
+    hypotheses = (  # fault, filter, input for size 1, limits of the size
+        (Verdict.TORQUE_OFFSET, THROUGH_G1, MINUS_ONE, -target.limit_1, target.limit_1),
+        (Verdict.FORCE_LOST, THROUGH_G2, COMMAND_2, LEAST_SHARE, MOST_SHARE),
+        (Verdict.SENSOR_WRONG, THROUGH_M, MINUS_ONE, -math.inf, math.inf),
+        (Verdict.SENSOR_DRIFTING, THROUGH_M, RAMP, -math.inf, math.inf),
+        (Verdict.TORQUE_OFFSET, THROUGH_G1, MISSING_1, LEAST_SHARE, MOST_SHARE),
+        (Verdict.FORCE_LOST, THROUGH_G2, MISSING_2, LEAST_SHARE, MOST_SHARE),
+    )
+    for row, (fault, through, put, least, most) in zip(signatures.rows, hypotheses, strict=True):
+        row.fault, row.through, row.input = fault, through, put
+        row.limits.least, row.limits.most = least, most
     for limits, least, most in (
         (constants.torque_lost, -MOST_SHARE, MOST_SHARE),
-        (signatures.torque_offset, -target.limit_1, target.limit_1),
-        (signatures.force_lost, LEAST_SHARE, MOST_SHARE),
-        (signatures.sensor_biased, -math.inf, math.inf),
-        (signatures.sensor_drifting, -math.inf, math.inf),
-        (table.echoes.share, LEAST_SHARE, MOST_SHARE),
         (table.echoes.wrong, -MOST_SHARE, -LEAST_SHARE),
         (constants.frozen.size_of_one, 1.0, 1.0),
     ):
@@ -280,9 +298,9 @@ def build(design: ContinuousDesign, target: Target) -> Table:
     table.safe_stop.duration = math.ceil(target.safe_stop_s / target.tick_s)
     table.safe_stop.certain = math.ceil(POWERLESS_S / target.tick_s)
     for path, (least, largest) in ranges_of(Table).items():
-        value = reduce(getattr, path, cast(Any, table))
+        value = reduce(getitem, path, cast(Any, table))
         if not least <= value <= largest:
-            what = f"{'.'.join(path)} is {value}: must be from {least} to {largest}"
+            what = f"{'.'.join(map(str, path))} is {value}: must be from {least} to {largest}"
             raise DesignError(f"table of the controller: {what}")
     tables.flags.writeable = False
     made: Table = tables[0]
@@ -396,8 +414,7 @@ def _fill_mismatch(
     rule = RULE_ERROR[target.estimator] ** 2
     constants.n = LOSS_STATES + (len(cars) + 1 if cars or rule else 0)
     model = _factors(design, target)
-    places = (other.car_1, other.car_2, other.car_3, other.car_4)
-    for place, car in zip(places, cars, strict=False):
+    for place, car in zip(other.cars, cars, strict=False):
         factors = sampled_over(car, model, target.estimator, target.tick_s)
         _fill_filter(place.channel_1, factors.numerators[0])
         _fill_filter(place.channel_2, factors.numerators[1])

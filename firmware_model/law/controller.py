@@ -38,6 +38,7 @@ from firmware_model.law.core.thesis import (
     command_force,
     command_torque,
     end_tick,
+    nearer_to_zero,
     run_alone,
 )
 from firmware_model.law.core.tracking import missing_output, settle_tracking, track_on
@@ -53,16 +54,24 @@ from firmware_model.law.supervision.decision import (
     CONFIRMED,
     compensated_output,
     decide,
+    restart_test,
     set_aside,
     show_acting_commands,
     withdraw_loss,
 )
 from firmware_model.law.supervision.echoes import advance_echoes, settle_echoes
-from firmware_model.law.supervision.knowledge import known_offset, recall_car, recall_loss, save
-from firmware_model.law.supervision.likelihood_ratio import advance_candidate, start_candidate
+from firmware_model.law.supervision.knowledge import (
+    known_offset,
+    knows_loss,
+    recall_car,
+    recall_loss,
+    save,
+)
+from firmware_model.law.supervision.likelihood_ratio import advance_candidate
 from firmware_model.law.supervision.loss_model import (
     advance_loss_model,
     clear_loss_model,
+    lost_command,
     missing_shown,
 )
 from firmware_model.law.supervision.mismatch import (
@@ -82,10 +91,10 @@ from firmware_model.law.supervision.prediction import (
     stand_in,
     turn_to_witness,
 )
-from firmware_model.law.supervision.safe_stop import stops, take_commands_back
+from firmware_model.law.supervision.safe_stop import both_lost, is_blind, ticks_left
 from firmware_model.law.supervision.sensor_error import advance_sensor_error
 from firmware_model.law.supervision.signatures import advance_signatures
-from firmware_model.law.supervision.standby import stands_by, take_commands_down
+from firmware_model.law.supervision.standby import stands_by, ticks_left_in_standby
 from firmware_model.law.supervision.takeover import (
     AT_REST,
     BEGUN,
@@ -100,6 +109,7 @@ from firmware_model.law.supervision.takeover import (
     wanted_level,
 )
 from firmware_model.law.supervision.verdict import (
+    BOTH_LOST,
     NOTHING,
     SENSOR_FROZEN,
     SENSOR_WRONG,
@@ -167,14 +177,14 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         use_samples(state.witness)
     seen = (measured and state.witness.denied == 0) or state.witness.left > 0
     predicts = table.prediction.enabled == 1 and state.takeover.pending == BEGUN
+    suspected = state.fault_state == CONFIRMED or state.hypotheses.verdict == BOTH_LOST
+    lost = both_lost(table, state.safe_stop, suspected, state.monitor.powerless)
     if table.supervised == 0:
         run_alone(table, state, r, y)
-    elif stops(table, state, told and seen):
-        take_commands_back(table, state)
-        go_on(table, state)
-        state.mode = MODE_SAFE_STOP
+    elif lost or is_blind(table, state.prediction, told and seen):
+        stop(table, state, lost)
     elif stands_by(table, state.standby, told and measured):
-        take_commands_down(table, state)
+        nearer_to_zero(table, state, ticks_left_in_standby(table, state.standby))
         go_on(table, state)
         clear_prediction(state.prediction)
         state.mode = MODE_STANDBY
@@ -190,6 +200,17 @@ def step(table: Table, state: State, reference: float, measurement: float) -> No
         go_on(table, state)
         state.mode = MODE_BLIND
     take_away(table, state, r, y)
+
+
+@firmware
+def stop(table: Table, state: State, lost: bool) -> None:
+    """A tick of a safe stop, because both actuators are ``lost`` or an input is missing."""
+    if lost:
+        state.hypotheses.verdict = BOTH_LOST
+    left = ticks_left(table, state.safe_stop, state.prediction.elapsed, lost)
+    nearer_to_zero(table, state, left)
+    go_on(table, state)
+    state.mode = MODE_SAFE_STOP
 
 
 @firmware
@@ -218,7 +239,7 @@ def take_over(table: Table, state: State, r: float, y: float) -> None:
         table.estimator, state.estimator, state.command_1, state.command_2
     )
     y = y - known_offset(state.saved)
-    difference = y - predicted(table, state, model_1 + model_2)
+    difference = y - predicted(table, state.estimator.measurement, model_1 + model_2)
     moves = table.takeover.enabled == 1 and abs(difference) > table.takeover.least
     level = real(0.0, y)
     if moves and state.takeover.pending == UNKNOWN:
@@ -243,8 +264,9 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
         witness(table, state, y, model)
         measured = measured and state.witness.denied == 0
     y = measurement_or_prediction(table, state, y, measured, model)
-    tracked = tracked_reference(table, state, r)
-    seen = y + state.prediction.fading + missing_output(table, state)
+    tracked = tracked_reference(table.reference_shaper, state.reference_shaper, r)
+    seen = y + state.prediction.fading
+    seen += missing_output(table.estimator, state.tracking, state.estimator, state.shortfall_2)
     command_torque(table, state, tracked, seen, y)
 
     # Without feedthrough of u2 the sum is the residual; with feedthrough u2 of this tick is
@@ -257,7 +279,7 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
 
     loss = real(0.0, held_1)
     if table.compensator.on_confirmation > 0:  # F̂ works on s w, with the w of this tick's command
-        loss = transfer(state.bumpless_transfer, compensated_output(table, state))
+        loss = transfer(state.bumpless_transfer, missing_by_loss(table, state))
     estimate = command_force(table, state, r, loss)
     if tick.overflows == 1:
         forget(table, state, held_1, held_2)
@@ -270,18 +292,18 @@ def compute(table: Table, state: State, r: float, y: float, measured: bool) -> N
 @firmware
 def witness(table: Table, state: State, y: float, model_output: float) -> None:
     """Let the witness judge the sensor, and a known loss of channel 1."""
-    own, before = state.witness, state.witness.denied
-    expected = predicted(table, state, model_output - missing_shown(table, state))
-    weigh_witness(table, own, y, expected, predicted(table, state, model_output))
+    own, before, m = state.witness, state.witness.denied, state.estimator.measurement
+    expected = predicted(table, m, model_output - missing_now(table, state))
+    weigh_witness(table, own, y, expected, predicted(table, m, model_output))
     if own.denied > before:
         set_aside(table, state)
         turn_to_witness(state.prediction, own.difference)
     if state.fault_state == CONFIRMED and refutes(table.witness, own):
-        state.prediction.difference -= missing_shown(table, state)
+        state.prediction.difference -= missing_now(table, state)
         withdraw_loss(table, state)
         forget_loss(own)
     if own.denied == 1:
-        believe_with_witness(table, state)
+        believe_with_witness(table, state.hypotheses, state.mismatch, state.echoes, own)
         state.hypotheses.verdict = SENSOR_WRONG
     elif before == 1:
         state.hypotheses.verdict = NOTHING
@@ -301,8 +323,8 @@ def measurement_or_prediction(
     table: Table, state: State, y: float, measured: bool, model_output: float
 ) -> float:
     """Return y less the motion of a takeover where ``measured``, otherwise what stands in for y."""
-    own, constants = state.prediction, table.prediction
-    expected = predicted(table, state, model_output - missing_shown(table, state))
+    own, constants, m = state.prediction, table.prediction, state.estimator.measurement
+    expected = predicted(table, m, model_output - missing_now(table, state))
     if measured:
         state.measurement = y
     y = y - state.takeover.shown
@@ -326,14 +348,15 @@ def go_on(table: Table, state: State) -> None:
     model_1, model_2 = model_output(
         table.estimator, state.estimator, state.command_1, state.command_2
     )
-    expected = predicted(table, state, model_1 + model_2 - missing_shown(table, state))
+    shown = model_1 + model_2 - missing_now(table, state)
+    expected = predicted(table, state.estimator.measurement, shown)
     take_measurement(table.estimator, state.estimator, expected)
     show_acting_commands(table, state)
     asked_1 = track_on(table.tracking, state.tracking, state.command_1)
     short_1 = asked_1 - state.command_1
     short_2 = real(0.0, state.command_2)
     if table.compensator.on_confirmation > 0:
-        drive = transfer(state.bumpless_transfer, compensated_output(table, state))
+        drive = transfer(state.bumpless_transfer, missing_by_loss(table, state))
         force = advance(table.compensator.filter, state.compensator.filter, drive)
         short_2 = force - state.command_2
     advance_models(table, state, short_1, short_2)
@@ -345,18 +368,35 @@ def advance_models(table: Table, state: State, short_1: float, short_2: float) -
 
     ``short_1`` and ``short_2`` are asked minus possible commands of the channels.
     """
-    advance_loss_model(table, state)
-    advance_candidate(table, state)
-    advance_other_cars(table, state)
-    advance_signatures(table, state)
-    advance_echoes(table, state)
+    model, heard, found = state.estimator, state.echoes, state.hypotheses
+    command_1, command_2 = state.command_1, state.command_2
+    advance_loss_model(table, state.loss_model, model, lost_command(state.fault_state, command_1))
+    advance_candidate(table, state.sequential_test, model, command_1)
+    advance_other_cars(table, state.other_cars, model.measured, command_2)
+    advance_signatures(table, found.signatures, heard, state.other_cars.command_2)
+    advance_echoes(table, heard, model, command_1, command_2)
     advance_witness(table, state.witness)
-    advance_sensor_error(table, state)
+    advance_sensor_error(table, found.sensor_error)
     end_tick(table, state, short_1, short_2)
     advance_motion(table.takeover, table.estimator.channel_1, state.takeover)
     if state.takeover.active and state.takeover.elapsed == table.takeover.listening:
         doubt_motion(table.mismatch, state.mismatch, doubt(table.takeover, state.takeover))
-        start_candidate(table, state)
+        restart_test(table, state)
+
+
+@firmware
+def missing_now(table: Table, state: State) -> float:
+    """All that is known to be missing in the measurement of this tick."""
+    lost = lost_command(state.fault_state, state.command_1)
+    loss, known = state.loss_model, state.mismatch
+    return missing_shown(table, loss, known, state.estimator, state.echoes, lost)
+
+
+@firmware
+def missing_by_loss(table: Table, state: State) -> float:
+    """The input of F̂ in this tick: the known missing output."""
+    lost = lost_command(state.fault_state, state.command_1)
+    return compensated_output(table, state.loss_model, state.echoes, lost)
 
 
 @firmware
@@ -385,9 +425,12 @@ def settle_loop(table: Table, state: State, target: float) -> None:
     state.actuator_1.rounded_off = state.actuator_2.rounded_off = zero
     torque = quantise(table.actuator_1, state.actuator_1, saturate(table.actuator_1, asked_1))
     state.fault_state = CLEAR
-    clear_loss_model(state)
+    clear_loss_model(state.loss_model)
     release(state.bumpless_transfer)
-    lost = recall_loss(table, state, torque)
+    lost = recall_loss(table, state.saved, state.loss_model, torque)
+    if knows_loss(state.saved):
+        state.fault_state = CONFIRMED
+        state.bumpless_transfer.carried = lost
     asked_2 = table.compensator.reference_share * target
     asked_2 += settle(table.compensator.filter, state.compensator.filter, lost)
     force = quantise(table.actuator_2, state.actuator_2, saturate(table.actuator_2, asked_2))
@@ -395,15 +438,18 @@ def settle_loop(table: Table, state: State, target: float) -> None:
     settle_estimator(table.estimator, state.estimator, torque, force, target)
     settle(table.estimator.one_plus_q, state.estimator.one_plus_q, lost)
     model_1, model_2 = model_output(table.estimator, state.estimator, torque, force)
-    settle_other_cars(table, state, (one - state.loss_model.share) * torque, force)
-    settle_mismatch(table, state, model_1 + model_2)
-    start_candidate(table, state)
-    clear_hypotheses(state)
-    settle_echoes(table, state)
+    measured, left = state.estimator.measured, (one - state.loss_model.share) * torque
+    settle_other_cars(table, state.other_cars, measured, left, force)
+    settle_mismatch(table, state.mismatch, state.other_cars.shown, model_1 + model_2)
+    restart_test(table, state)
+    clear_hypotheses(state.hypotheses)
+    settle_echoes(table.echoes, state.echoes, torque, force)
     settle_witness(state.witness, target)
     settle_corroboration(state.corroboration)
     clear_prediction(state.prediction)
-    recall_car(table, state)
+    state.prediction.difference = known_offset(state.saved)
+    w = state.loss_model.previous_output
+    recall_car(table, state.saved, state.mismatch, state.hypotheses, w, lost)
     state.safe_stop.elapsed = state.standby.elapsed = 0.0
     state.standby.slow = 0
     state.shortfall_1.accumulators[:] = 0.0

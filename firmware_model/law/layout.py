@@ -10,17 +10,9 @@ from typing import Annotated
 
 import numpy as np
 
-from firmware_model.law import monitor, status
-from firmware_model.law.core import (
-    actuator,
-    compensator,
-    estimator,
-    reference_shaper,
-    shortfall,
-    thesis,
-    tracking,
-)
-from firmware_model.law.structs import Precision, Struct, record_type
+from firmware_model.law import monitor
+from firmware_model.law.core import thesis
+from firmware_model.law.structs import Precision, record_type
 from firmware_model.law.supervision import (
     bumpless_transfer,
     corroboration,
@@ -40,18 +32,9 @@ from firmware_model.law.supervision import (
 )
 
 
-class Table(Struct):
+class Table(thesis.Table):
     """The constant table."""
 
-    supervised: Annotated[int, "1", "0: the thesis's law alone", (0, 1)]
-    reference_shaper: Annotated[reference_shaper.Constants, "1", "limits r̈"]
-    tracking: Annotated[tracking.Constants, "1", "C"]
-    estimator: Annotated[estimator.Constants, "1", "F1 and 1 + Q"]
-    compensator: Annotated[compensator.Constants, "1", "F̂"]
-    actuator_1: Annotated[actuator.Constants, "1", "what channel 1 can follow"]
-    actuator_2: Annotated[actuator.Constants, "1", "what channel 2 can follow"]
-    shortfall_1: Annotated[shortfall.Constants, "1", "make-up of channel 1"]
-    shortfall_2: Annotated[shortfall.Constants, "1", "make-up of channel 2"]
     other_cars: Annotated[other_cars.Constants, "1", "what they show"]
     mismatch: Annotated[mismatch.Constants, "1", "how this car differs"]
     sequential_test: Annotated[likelihood_ratio.Constants, "1", "for a loss or its end"]
@@ -68,18 +51,9 @@ class Table(Struct):
     monitor: Annotated[monitor.Constants, "1", "independent bounds on commands and motion"]
 
 
-class State(status.State):
+class State(thesis.State):
     """State."""
 
-    tick: Annotated[thesis.State, "1", "what the stages of a tick hand on"]
-    reference_shaper: Annotated[reference_shaper.State, "1", "reference of C"]
-    tracking: Annotated[tracking.State, "1", "C"]
-    estimator: Annotated[estimator.State, "1", "F1 and 1 + Q"]
-    compensator: Annotated[compensator.State, "1", "F̂"]
-    actuator_1: Annotated[actuator.State, "1", "rounding of command 1"]
-    actuator_2: Annotated[actuator.State, "1", "rounding of command 2"]
-    shortfall_1: Annotated[shortfall.State, "1", "what channel 1 could not do"]
-    shortfall_2: Annotated[shortfall.State, "1", "what channel 2 could not do"]
     other_cars: Annotated[other_cars.State, "1", "what they show"]
     mismatch: Annotated[mismatch.State, "1", "how this car differs"]
     sequential_test: Annotated[likelihood_ratio.State, "1", "for a loss or its end"]

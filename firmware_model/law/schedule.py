@@ -26,7 +26,10 @@ from typing import TYPE_CHECKING, Annotated
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Records, Struct
+from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
 from firmware_model.law.supervision.overflow import is_damaged
+from firmware_model.law.supervision.signatures import ROWS, THROUGH_G1, THROUGH_G2
+from firmware_model.law.supervision.standby import note_speed
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
@@ -41,7 +44,16 @@ FILTER = (MAX_SPEEDS, MAX_SECTIONS * 5)
 TURN = (MAX_SPEEDS, SIZE * SIZE)
 GAIN = (MAX_SPEEDS, MAX_SECTIONS * 2)
 EACH = (MAX_SPEEDS,)
-BAND = 0.95  # a car at the lowest speed does not alternate between standby and run
+OF_G1, OF_G2 = THROUGH_G1, THROUGH_G2
+
+
+class Models(Struct):
+    """The models of a car."""
+
+    channel_1: Annotated[FloatArray, "y/u1", "G1 at each speed", FILTER]
+    channel_2: Annotated[FloatArray, "y/u2", "G2 at each", FILTER]
+    turn_1: Annotated[FloatArray, "1", "L of G1 from each speed to the next, row by row", TURN]
+    turn_2: Annotated[FloatArray, "1", "L of G2", TURN]
 
 
 class Constants(Struct):
@@ -51,32 +63,14 @@ class Constants(Struct):
     speed: Annotated[FloatArray, "m/s", "of each design, ascending", EACH]
     tracking: Annotated[FloatArray, "u1/y", "Q at each", FILTER]
     tracking_inverse: Annotated[FloatArray, "1", "loop_inverse of C at each", EACH]
-    channel_1: Annotated[FloatArray, "y/u1", "G1 at each", FILTER]
-    channel_2: Annotated[FloatArray, "y/u2", "G2 at each", FILTER]
+    model: Annotated[Models, "1", "the model of the car"]
     feedthrough_2: Annotated[FloatArray, "y/u2", "of G2 at each", EACH]
     compensator: Annotated[FloatArray, "u2/y", "F̂ at each", FILTER]
     compensator_feedthrough: Annotated[FloatArray, "u2/y", "of F̂ at each", EACH]
     compensator_inverse: Annotated[FloatArray, "1", "loop_inverse of F̂ at each", EACH]
     make_up_1: Annotated[FloatArray, "u1/y", "gain of the shortfall of channel 1 at each", GAIN]
     make_up_2: Annotated[FloatArray, "u2/y", "gain of the shortfall of channel 2 at each", GAIN]
-    car_1_channel_1: Annotated[FloatArray, "y/u1", "G1 of the first other car at each", FILTER]
-    car_1_channel_2: Annotated[FloatArray, "y/u2", "its G2", FILTER]
-    car_2_channel_1: Annotated[FloatArray, "y/u1", "G1 of the second", FILTER]
-    car_2_channel_2: Annotated[FloatArray, "y/u2", "its G2", FILTER]
-    car_3_channel_1: Annotated[FloatArray, "y/u1", "G1 of the third", FILTER]
-    car_3_channel_2: Annotated[FloatArray, "y/u2", "its G2", FILTER]
-    car_4_channel_1: Annotated[FloatArray, "y/u1", "G1 of the fourth", FILTER]
-    car_4_channel_2: Annotated[FloatArray, "y/u2", "its G2", FILTER]
-    turn_1: Annotated[FloatArray, "1", "L of G1 from each speed to the next, row by row", TURN]
-    turn_2: Annotated[FloatArray, "1", "L of G2", TURN]
-    car_1_turn_1: Annotated[FloatArray, "1", "L of G1 of the first other car", TURN]
-    car_1_turn_2: Annotated[FloatArray, "1", "L of its G2", TURN]
-    car_2_turn_1: Annotated[FloatArray, "1", "L of G1 of the second", TURN]
-    car_2_turn_2: Annotated[FloatArray, "1", "L of its G2", TURN]
-    car_3_turn_1: Annotated[FloatArray, "1", "L of G1 of the third", TURN]
-    car_3_turn_2: Annotated[FloatArray, "1", "L of its G2", TURN]
-    car_4_turn_1: Annotated[FloatArray, "1", "L of G1 of the fourth", TURN]
-    car_4_turn_2: Annotated[FloatArray, "1", "L of its G2", TURN]
+    cars: Annotated[Records[Models], "1", "likewise each other car", (MAX_DIRECTIONS,)]
 
 
 class State(Struct):
@@ -106,26 +100,18 @@ def change_speed(
     v = real(speed, own.place)
     if not math.isfinite(v):
         return
-    note_speed(state, v, schedule.speed[0])
+    note_speed(state.standby, v, schedule.speed[0])
     if table.witness.longest > 0:
         table.witness.speed = v
     place = place_of(schedule, v)
-    if place == own.place or is_damaged(state):
+    if place == own.place or is_damaged(
+        state.estimator, state.echoes, state.witness, state.mismatch
+    ):
         return
     move(schedule, own, table, state, place)
     own.place = place
     at = int(place)
     blend(schedule, table, at, place - real(at, place))
-
-
-@firmware
-def note_speed(state: layout.State, speed: float, lowest: float) -> None:
-    """Find out whether a car of this ``speed`` is slower than the ``lowest`` design, m/s."""
-    enters = real(BAND, lowest) * lowest
-    if speed < enters or (state.standby.slow > 0 and speed < lowest):
-        state.standby.slow = 1
-    else:
-        state.standby.slow = 0
 
 
 @firmware
@@ -174,37 +160,31 @@ def turn_models(
     schedule: Constants, own: State, table: Table, state: layout.State, at: int, way: float
 ) -> None:
     """Turn every state of a model of the car by ``way`` within the interval ``at``."""
-    turn(schedule.turn_1, own, state.estimator.channel_1, at, way)
-    turn(schedule.turn_2, own, state.estimator.channel_2, at, way)
-    turn(schedule.turn_1, own, state.shortfall_1, at, way)
-    turn(schedule.turn_2, own, state.shortfall_2, at, way)
-    turn(schedule.turn_1, own, state.sequential_test.channel_1, at, way)
-    turn(schedule.turn_1, own, state.sequential_test.earlier, at, way)
-    turn(schedule.turn_1, own, state.loss_model.channel_1, at, way)
-    turn(schedule.turn_1, own, state.loss_model.earlier, at, way)
-    turn(schedule.turn_1, own, state.loss_model.fading, at, way)
-    turn(schedule.turn_1, own, state.hypotheses.signatures.torque_offset.answer, at, way)
-    turn(schedule.turn_2, own, state.hypotheses.signatures.force_lost.answer, at, way)
+    turn(schedule.model.turn_1, own, state.estimator.channel_1, at, way)
+    turn(schedule.model.turn_2, own, state.estimator.channel_2, at, way)
+    turn(schedule.model.turn_1, own, state.shortfall_1, at, way)
+    turn(schedule.model.turn_2, own, state.shortfall_2, at, way)
+    turn(schedule.model.turn_1, own, state.sequential_test.channel_1, at, way)
+    turn(schedule.model.turn_1, own, state.sequential_test.earlier, at, way)
+    turn(schedule.model.turn_1, own, state.loss_model.channel_1, at, way)
+    turn(schedule.model.turn_1, own, state.loss_model.earlier, at, way)
+    turn(schedule.model.turn_1, own, state.loss_model.fading, at, way)
     if table.echoes.longest > 0:
-        turn(schedule.turn_1, own, state.echoes.channel_1.known, at, way)
-        turn(schedule.turn_2, own, state.echoes.channel_2.known, at, way)
-        turn(schedule.turn_1, own, state.hypotheses.signatures.torque_echo.answer, at, way)
-        turn(schedule.turn_2, own, state.hypotheses.signatures.force_echo.answer, at, way)
-    cars = state.other_cars
-    if table.other_cars.n > 0:
-        turn(schedule.turn_1, own, cars.model.channel_1, at, way)
-        turn(schedule.turn_2, own, cars.model.channel_2, at, way)
-        turn(schedule.car_1_turn_1, own, cars.car_1.channel_1, at, way)
-        turn(schedule.car_1_turn_2, own, cars.car_1.channel_2, at, way)
-    if table.other_cars.n > 1:
-        turn(schedule.car_2_turn_1, own, cars.car_2.channel_1, at, way)
-        turn(schedule.car_2_turn_2, own, cars.car_2.channel_2, at, way)
-    if table.other_cars.n > 2:
-        turn(schedule.car_3_turn_1, own, cars.car_3.channel_1, at, way)
-        turn(schedule.car_3_turn_2, own, cars.car_3.channel_2, at, way)
-    if table.other_cars.n > 3:
-        turn(schedule.car_4_turn_1, own, cars.car_4.channel_1, at, way)
-        turn(schedule.car_4_turn_2, own, cars.car_4.channel_2, at, way)
+        turn(schedule.model.turn_1, own, state.echoes.channel_1.known, at, way)
+        turn(schedule.model.turn_2, own, state.echoes.channel_2.known, at, way)
+    for i in range(ROWS):
+        row, one = table.hypotheses.signatures.rows[i], state.hypotheses.signatures.rows[i]
+        if row.through == OF_G1:
+            turn(schedule.model.turn_1, own, one.answer, at, way)
+        elif row.through == OF_G2:
+            turn(schedule.model.turn_2, own, one.answer, at, way)
+    cars, n = state.other_cars, table.other_cars.n
+    if n > 0:
+        turn(schedule.model.turn_1, own, cars.model.channel_1, at, way)
+        turn(schedule.model.turn_2, own, cars.model.channel_2, at, way)
+    for i in range(n):
+        turn(schedule.cars[i].turn_1, own, cars.cars[i].channel_1, at, way)
+        turn(schedule.cars[i].turn_2, own, cars.cars[i].channel_2, at, way)
 
 
 @firmware
@@ -240,8 +220,8 @@ def turn(turns: FloatArray, own: State, filter_state: biquad.State, at: int, way
 def blend(schedule: Constants, table: Table, at: int, share: float) -> None:
     """Make ``table`` that of the place ``share`` of the way from the design ``at`` to the next."""
     blend_filter(schedule.tracking, table.tracking.filter, at, share)
-    blend_filter(schedule.channel_1, table.estimator.channel_1, at, share)
-    blend_filter(schedule.channel_2, table.estimator.channel_2, at, share)
+    blend_filter(schedule.model.channel_1, table.estimator.channel_1, at, share)
+    blend_filter(schedule.model.channel_2, table.estimator.channel_2, at, share)
     blend_filter(schedule.compensator, table.compensator.filter, at, share)
     table.tracking.loop_inverse = between(schedule.tracking_inverse, at, share)
     table.estimator.feedthrough_2 = between(schedule.feedthrough_2, at, share)
@@ -250,14 +230,9 @@ def blend(schedule: Constants, table: Table, at: int, share: float) -> None:
     blend_gain(schedule.make_up_1, table.shortfall_1, table.estimator.channel_1.n, at, share)
     blend_gain(schedule.make_up_2, table.shortfall_2, table.estimator.channel_2.n, at, share)
     cars = table.other_cars
-    blend_filter(schedule.car_1_channel_1, cars.car_1.channel_1, at, share)
-    blend_filter(schedule.car_1_channel_2, cars.car_1.channel_2, at, share)
-    blend_filter(schedule.car_2_channel_1, cars.car_2.channel_1, at, share)
-    blend_filter(schedule.car_2_channel_2, cars.car_2.channel_2, at, share)
-    blend_filter(schedule.car_3_channel_1, cars.car_3.channel_1, at, share)
-    blend_filter(schedule.car_3_channel_2, cars.car_3.channel_2, at, share)
-    blend_filter(schedule.car_4_channel_1, cars.car_4.channel_1, at, share)
-    blend_filter(schedule.car_4_channel_2, cars.car_4.channel_2, at, share)
+    for i in range(MAX_DIRECTIONS):
+        blend_filter(schedule.cars[i].channel_1, cars.cars[i].channel_1, at, share)
+        blend_filter(schedule.cars[i].channel_2, cars.cars[i].channel_2, at, share)
 
 
 @firmware

@@ -21,6 +21,8 @@ from typing import (
     Self,
     TypeVar,
     cast,
+    get_args,
+    get_origin,
     get_type_hints,
     overload,
 )
@@ -50,10 +52,11 @@ class Struct:
 
     A field is ``name: Annotated[type, unit, meaning]`` with the type ``float`` for a real number in
     the precision of the table, ``int`` for a 32-bit integer, or another declaration; an array of
-    real numbers is ``Annotated[FloatArray, unit, meaning, shape]``. An integer of a table is
+    real numbers is ``Annotated[FloatArray, unit, meaning, shape]``, and an array of n structs
+    ``Annotated[Records[Row], unit, meaning, (n,)]``. An integer of a table is
     ``Annotated[int, unit, meaning, (least, largest)]``, from which the translator to C proves the
-    indices. No instance is ever made: a
-    record of ``record_type`` has these fields, and the class is its type for a type checker.
+    indices. No instance is ever made: a record of ``record_type`` has these fields, and the class
+    is its type for a type checker.
     """
 
     if TYPE_CHECKING:  # what every record of NumPy has
@@ -147,6 +150,11 @@ class Field:
     shape: tuple[int, ...] = ()
     range: tuple[int, int] | None = None
 
+    @property
+    def paths(self) -> list[tuple[str | int, ...]]:
+        """The path of each of its structs: name, and index in an array."""
+        return [(self.name, i) for i in range(*self.shape)] if self.shape else [(self.name,)]
+
 
 @_cached
 def fields_of(struct: type[Struct]) -> tuple[Field, ...]:
@@ -173,6 +181,8 @@ def _field(struct: type[Struct], name: str, hint: Any) -> Field:
             kind is int and least <= largest
         ):
             return Field(name, unit, meaning, "int32", range=(least, largest))
+        case kind, (str(unit), str(meaning), (int(n),)) if n > 0 and (row := _element(kind)):
+            return Field(name, unit, meaning, row, (n,))
         case kind, (str(unit), str(meaning), tuple(shape)) if kind == FloatArray and all(
             isinstance(each, int) and each > 0 for each in shape
         ):
@@ -180,8 +190,15 @@ def _field(struct: type[Struct], name: str, hint: Any) -> Field:
     raise TypeError(
         f"{struct.__module__}.{struct.__qualname__}.{name}: must be Annotated[float, unit, "
         "meaning], of an int or a Struct likewise, Annotated[int, unit, meaning, "
-        "(least, largest)], or Annotated[FloatArray, unit, meaning, shape]"
+        "(least, largest)], Annotated[FloatArray, unit, meaning, shape], or "
+        "Annotated[Records[a Struct], unit, meaning, (n,)]"
     )
+
+
+def _element(kind: Any) -> type[Struct] | None:
+    """The struct of an array of structs."""
+    element = next(iter(get_args(kind)), None) if get_origin(kind) is Records else None
+    return element if isinstance(element, type) and issubclass(element, Struct) else None
 
 
 @_cached
@@ -216,26 +233,28 @@ def copied(record: Of) -> Records[Of]:
 
 def leaves(
     struct: type[Struct], dtype: np.dtype[np.void], at: int = 0
-) -> Iterator[tuple[tuple[str, ...], int, np.dtype[Any]]]:
+) -> Iterator[tuple[tuple[str | int, ...], int, np.dtype[Any]]]:
     """Path, offset and layout of each number, and each array of numbers, of a struct."""
     assert dtype.fields is not None
     for field in fields_of(struct):
         kind, offset, *_ = dtype.fields[field.name]
         if isinstance(field.kind, type):
-            for path, inner, numbers in leaves(field.kind, kind, at + offset):
-                yield (field.name, *path), inner, numbers
+            for i, own in enumerate(field.paths):
+                first = at + offset + i * kind.base.itemsize
+                for path, inner, numbers in leaves(field.kind, kind.base, first):
+                    yield (*own, *path), inner, numbers
         else:
             yield (field.name,), at + offset, kind
 
 
 @_cached
-def ranges_of(struct: type[Struct]) -> dict[tuple[str, ...], tuple[int, int]]:
+def ranges_of(struct: type[Struct]) -> dict[tuple[str | int, ...], tuple[int, int]]:
     """The declared range of each integer, nested ones too, by path."""
-    found = {}
+    found: dict[tuple[str | int, ...], tuple[int, int]] = {}
     for field in fields_of(struct):
         if isinstance(field.kind, type):
             inner = ranges_of(field.kind).items()
-            found.update({(field.name, *path): each for path, each in inner})
+            found |= {(*own, *path): each for own in field.paths for path, each in inner}
         elif field.range is not None:
             found[field.name,] = field.range
     return found

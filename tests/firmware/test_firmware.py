@@ -13,6 +13,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.law.core.biquad import advance, at_rest
 from firmware_model.law.status import FaultState, Verdict
+from firmware_model.law.supervision.signatures import BIAS_ROW
 
 TICK_S = 0.001
 PLANT = sample(steer_by_wire(), TICK_S)
@@ -90,7 +91,7 @@ def test_nothing_is_known_of_a_fault_at_rest():
     firmware = Firmware(table(1))
     assert firmware.hypotheses.verdict == Verdict.NOTHING
     firmware.step(1.0, 0.0)
-    assert firmware.hypotheses.signatures.sensor_biased.candidate.age == 1.0
+    assert firmware.hypotheses.signatures.rows[BIAS_ROW].candidate.age == 1.0
 
 
 def test_a_plant_driven_by_the_commands_themselves_changes_no_bit() -> None:

@@ -7,17 +7,13 @@ mean of the commands is exact and no error settles below the resolution.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
-
-if TYPE_CHECKING:
-    from firmware_model.law import layout
-    from firmware_model.law.layout import Table
 
 
 class Constants(Struct):
@@ -60,12 +56,3 @@ def quantise(actuator: Constants, state: State, command: float) -> float:
     left = wanted - rounded
     state.rounded_off = left if math.isfinite(left) else real(0.0, left)
     return rounded
-
-
-@firmware
-def command_possible(table: Table, state: layout.State, wanted_1: float, wanted_2: float) -> None:
-    """Limit both wanted commands to the range of the actuators."""
-    possible = saturate_rate(table.actuator_1, wanted_1, state.command_1)
-    state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)
-    possible = saturate_rate(table.actuator_2, wanted_2, state.command_2)
-    state.command_2 = quantise(table.actuator_2, state.actuator_2, possible)

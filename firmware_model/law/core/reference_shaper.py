@@ -15,17 +15,13 @@ is outside the loop, so no margin changes.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
-
-if TYPE_CHECKING:
-    from firmware_model.law import layout
-    from firmware_model.law.layout import Table
 
 
 class Constants(Struct):
@@ -48,11 +44,11 @@ class State(Struct):
 
 
 @firmware
-def tracked_reference(table: Table, state: layout.State, reference: float) -> float:
+def tracked_reference(constants: Constants, state: State, reference: float) -> float:
     """What C tracks: the reference, shaped where the table says so."""
     tracked = reference
-    if table.reference_shaper.enabled:
-        tracked = shape_reference(table.reference_shaper, state.reference_shaper, reference)
+    if constants.enabled:
+        tracked = shape_reference(constants, state, reference)
     return tracked
 
 

@@ -16,28 +16,32 @@ between the two commands whether a channel is lost, and F̂ may work on the know
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from firmware_model.compiled import firmware
+from firmware_model.law import status
+from firmware_model.law.core import (
+    actuator,
+    compensator,
+    estimator,
+    reference_shaper,
+    shortfall,
+    tracking,
+)
 from firmware_model.law.core.actuator import quantise, saturate_rate
 from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.core.estimator import advance_model, model_output, take_measurement
 from firmware_model.law.core.reference_shaper import tracked_reference
 from firmware_model.law.core.shortfall import make_up
-from firmware_model.law.core.tracking import advance_shortfalls, asked_torque, missing_output, track
+from firmware_model.law.core.tracking import asked_torque, missing_output, track
 from firmware_model.law.precision import real
 from firmware_model.law.status import Mode
 from firmware_model.law.structs import Struct
 
-if TYPE_CHECKING:
-    from firmware_model.law import layout
-    from firmware_model.law.layout import Table
-
-
 MODE_RUN, MODE_BLIND = int(Mode.RUN), int(Mode.BLIND)
 
 
-class State(Struct):
+class Tick(Struct):
     """What the stages of a tick hand on."""
 
     asked_1: Annotated[float, "u1", "C (r - y)"]
@@ -50,8 +54,36 @@ class State(Struct):
     overflows: Annotated[int, "1", "1: a command is no finite number"]
 
 
+class Table(Struct):
+    """The constants of the thesis's law."""
+
+    supervised: Annotated[int, "1", "0: the thesis's law alone", (0, 1)]
+    reference_shaper: Annotated[reference_shaper.Constants, "1", "limits r̈"]
+    tracking: Annotated[tracking.Constants, "1", "C"]
+    estimator: Annotated[estimator.Constants, "1", "F1 and 1 + Q"]
+    compensator: Annotated[compensator.Constants, "1", "F̂"]
+    actuator_1: Annotated[actuator.Constants, "1", "what channel 1 can follow"]
+    actuator_2: Annotated[actuator.Constants, "1", "what channel 2 can follow"]
+    shortfall_1: Annotated[shortfall.Constants, "1", "make-up of channel 1"]
+    shortfall_2: Annotated[shortfall.Constants, "1", "make-up of channel 2"]
+
+
+class State(status.State):
+    """The memory of the thesis's law."""
+
+    tick: Annotated[Tick, "1", "what the stages of a tick hand on"]
+    reference_shaper: Annotated[reference_shaper.State, "1", "reference of C"]
+    tracking: Annotated[tracking.State, "1", "C"]
+    estimator: Annotated[estimator.State, "1", "F1 and 1 + Q"]
+    compensator: Annotated[compensator.State, "1", "F̂"]
+    actuator_1: Annotated[actuator.State, "1", "rounding of command 1"]
+    actuator_2: Annotated[actuator.State, "1", "rounding of command 2"]
+    shortfall_1: Annotated[shortfall.State, "1", "what channel 1 could not do"]
+    shortfall_2: Annotated[shortfall.State, "1", "what channel 2 could not do"]
+
+
 @firmware
-def begin_tick(table: Table, state: layout.State) -> None:
+def begin_tick(table: Table, state: State) -> None:
     """Compute the outputs of the models before the commands of this tick."""
     tick, zero = state.tick, real(0.0, state.command_1)
     model_1, model_2 = model_output(table.estimator, state.estimator, zero, state.command_2)
@@ -60,9 +92,7 @@ def begin_tick(table: Table, state: layout.State) -> None:
 
 
 @firmware
-def command_torque(
-    table: Table, state: layout.State, tracked: float, seen: float, y: float
-) -> None:
+def command_torque(table: Table, state: State, tracked: float, seen: float, y: float) -> None:
     """Command 1, u1 = C (r - y) (3.32), and what F1 makes of ``y``.
 
     Args:
@@ -89,7 +119,7 @@ def command_torque(
 
 
 @firmware
-def command_force(table: Table, state: layout.State, r: float, loss: float) -> float:
+def command_force(table: Table, state: State, r: float, loss: float) -> float:
     """Command 2, u2 = r2 + F̂ d̂ (2.37), or F̂ of the known ``loss``; return d̂ (2.1)."""
     tick, estimator, compensator = state.tick, table.estimator, table.compensator
     zero = real(0.0, r)
@@ -117,14 +147,18 @@ def command_force(table: Table, state: layout.State, r: float, loss: float) -> f
 
 
 @firmware
-def end_tick(table: Table, state: layout.State, short_1: float, short_2: float) -> None:
+def end_tick(table: Table, state: State, short_1: float, short_2: float) -> None:
     """Advance the models by the commands of this tick, each ``short`` of the asked command."""
-    advance_shortfalls(table, state, short_1, short_2)
+    constants, counts = table.estimator, table.tracking.excuses_limits
+    advance(constants.channel_1, state.shortfall_1, short_1 * counts)
+    missing = advance(constants.channel_2, state.shortfall_2, short_2 * counts)
+    if constants.shown_ticks_2 > 0:
+        state.tracking.delay[state.estimator.shown_index_2] = missing
     advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
 
 
 @firmware
-def run_alone(table: Table, state: layout.State, r: float, y: float) -> None:
+def run_alone(table: Table, state: State, r: float, y: float) -> None:
     """A tick without any supervision; a missing input keeps its last value."""
     told, tick = math.isfinite(r) and math.isfinite(y), state.tick
     held_1, held_2 = state.command_1, state.command_2
@@ -133,8 +167,9 @@ def run_alone(table: Table, state: layout.State, r: float, y: float) -> None:
     if math.isfinite(y):
         state.measurement = y
     begin_tick(table, state)
-    seen = state.measurement + missing_output(table, state)
-    tracked = tracked_reference(table, state, state.reference)
+    seen = missing_output(table.estimator, state.tracking, state.estimator, state.shortfall_2)
+    seen += state.measurement
+    tracked = tracked_reference(table.reference_shaper, state.reference_shaper, state.reference)
     command_torque(table, state, tracked, seen, state.measurement)
     none = real(0.0, held_1)
     state.fault_estimate = command_force(table, state, state.reference, none)
@@ -143,3 +178,22 @@ def run_alone(table: Table, state: layout.State, r: float, y: float) -> None:
         state.command_1, state.command_2 = held_1, held_2
         state.mode = MODE_BLIND
     end_tick(table, state, tick.asked_1 - tick.possible_1, tick.asked_2 - tick.possible_2)
+
+
+@firmware
+def command_possible(table: Table, state: State, wanted_1: float, wanted_2: float) -> None:
+    """Limit both wanted commands to the range of the actuators."""
+    possible = saturate_rate(table.actuator_1, wanted_1, state.command_1)
+    state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)
+    possible = saturate_rate(table.actuator_2, wanted_2, state.command_2)
+    state.command_2 = quantise(table.actuator_2, state.actuator_2, possible)
+
+
+@firmware
+def nearer_to_zero(table: Table, state: State, left: float) -> None:
+    """A tick on a straight line of both commands to zero, of which so many ticks are ``left``."""
+    one = real(1.0, left)
+    share = real(0.0, left)
+    if left > one:
+        share = (left - one) / left
+    command_possible(table, state, share * state.command_1, share * state.command_2)

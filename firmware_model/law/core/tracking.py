@@ -28,8 +28,7 @@ from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
-    from firmware_model.law.layout import Table
+    from firmware_model.law.core import estimator
 
 
 class Constants(Struct):
@@ -54,13 +53,14 @@ class State(Struct):
 
 
 @firmware
-def missing_output(table: Table, state: layout.State) -> float:
+def missing_output(
+    constants: estimator.Constants, own: State, model: estimator.State, shortfall_2: biquad.State
+) -> float:
     """Return G2 (asked - possible) in the measurement of this tick."""
-    if table.estimator.shown_ticks_2 > 0:
-        missing: float = state.tracking.delay[state.estimator.shown_index_2]
+    if constants.shown_ticks_2 > 0:
+        missing: float = own.delay[model.shown_index_2]
         return missing
-    none = real(0.0, state.command_2)
-    return output(table.estimator.channel_2, state.shortfall_2, none)
+    return output(constants.channel_2, shortfall_2, real(0.0, own.error))
 
 
 @firmware
@@ -89,16 +89,6 @@ def track_on(constants: Constants, state: State, command: float) -> float:
     if constants.stabiliser.n > 0:
         torque += advance(constants.stabiliser, state.stabiliser, command)
     return torque
-
-
-@firmware
-def advance_shortfalls(table: Table, state: layout.State, short_1: float, short_2: float) -> None:
-    """Advance the shortfalls of both channels by this tick's asked - possible."""
-    counts = table.tracking.excuses_limits
-    advance(table.estimator.channel_1, state.shortfall_1, short_1 * counts)
-    missing = advance(table.estimator.channel_2, state.shortfall_2, short_2 * counts)
-    if table.estimator.shown_ticks_2 > 0:
-        state.tracking.delay[state.estimator.shown_index_2] = missing
 
 
 @firmware

@@ -25,8 +25,7 @@ from firmware_model.law.supervision.covariance import MAX_STATES
 from firmware_model.law.supervision.whitener import whiten
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
-    from firmware_model.law.layout import Table
+    from firmware_model.law.supervision import mismatch
 
 
 class Limits(Struct):
@@ -59,26 +58,30 @@ class State(Struct):
 
 @firmware
 def take_in(
-    table: Table, state: layout.State, own: State, limits: Limits, shown: float, innovation: float
+    constants: mismatch.Constants,
+    known: mismatch.State,
+    own: State,
+    limits: Limits,
+    shown: float,
+    innovation: float,
 ) -> None:
     """Take in a tick.
 
     Args:
-        table: the constant table.
-        state: of the controller; ``mismatch`` is that of this tick.
+        constants: of the mismatch.
+        known: of the car, of this tick.
         own: state of this module; changed in place.
         limits: the limits of the size.
         shown: the part of a size-1 signature in d̂ of this tick.
         innovation: ν.
     """
-    mismatch, half = state.mismatch, real(0.5, shown)
-    first = mismatch.covariance.first
-    signature = whiten(table.mismatch.whitener, own.white, shown)
-    for i in range(first, table.mismatch.n):
-        signature -= mismatch.regressor[i] * own.explained[i]
-    for i in range(first, table.mismatch.n):
-        own.explained[i] = mismatch.memory[i] * (own.explained[i] + mismatch.gain[i] * signature)
-    weight = signature / mismatch.variance
+    first, half = known.covariance.first, real(0.5, shown)
+    signature = whiten(constants.whitener, own.white, shown)
+    for i in range(first, constants.n):
+        signature -= known.regressor[i] * own.explained[i]
+    for i in range(first, constants.n):
+        own.explained[i] = known.memory[i] * (own.explained[i] + known.gain[i] * signature)
+    weight = signature / known.variance
     correlation, information = weight * innovation, weight * signature
     own.foretold += own.size_now * (correlation - half * own.size_now * information)
     own.correlation += correlation

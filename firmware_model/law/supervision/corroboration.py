@@ -18,8 +18,8 @@ from firmware_model.law.supervision.echoes import confesses, says_lost
 from firmware_model.law.supervision.witness import acquits, agrees_with_sensor, contradicts
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
     from firmware_model.law.layout import Table
+    from firmware_model.law.supervision import echoes, witness
 
 
 class Constants(Struct):
@@ -50,24 +50,26 @@ def settle_corroboration(own: State) -> None:
 
 
 @firmware
-def torque_waits(table: Table, state: layout.State) -> bool:
+def torque_waits(
+    table: Table, own: State, heard: echoes.State, seen: witness.State, test_age: float
+) -> bool:
     """Whether a loss of channel 1 has to wait for a direct witness.
 
     The witness contradicts the sensor; or the echo denies the loss, and D* changes no faster than
     in a gust, or the witness does not show the loss yet, or the echo of actuator 2 shows a fault
-    there.
+    there. ``test_age``: ticks since the onset of the candidate.
     """
-    own, echo = state.witness, state.echoes.channel_1
+    echo = heard.channel_1
     denied = echo.left > 0 and echo.believed == 0 and not says_lost(table.echoes.actuator_1, echo)
-    told = own.age < state.sequential_test.age and acquits(table.witness, own)
-    elsewhere = confesses(table.echoes.actuator_2, state.echoes.channel_2)
-    gentle = abs(state.corroboration.sudden) < table.corroboration.gust
-    waits: bool = denied and (elsewhere or gentle or (own.left > 0 and not told))
-    return waits or contradicts(table.witness, own)
+    told = seen.age < test_age and acquits(table.witness, seen)
+    elsewhere = confesses(table.echoes.actuator_2, heard.channel_2)
+    gentle = abs(own.sudden) < table.corroboration.gust
+    waits: bool = denied and (elsewhere or gentle or (seen.left > 0 and not told))
+    return waits or contradicts(table.witness, seen)
 
 
 @firmware
-def sensor_waits(table: Table, state: layout.State) -> bool:
+def sensor_waits(table: Table, seen: witness.State) -> bool:
     """Whether a slow fault of the sensor has to wait: the witness still agrees with the sensor."""
-    waits: bool = state.witness.left > 0 and agrees_with_sensor(table.witness, state.witness)
+    waits: bool = seen.left > 0 and agrees_with_sensor(table.witness, seen)
     return waits

@@ -26,10 +26,13 @@ from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import Struct
+from firmware_model.law.supervision import echoes, likelihood_ratio, loss_model, verdict
 from firmware_model.law.supervision.bumpless_transfer import begin_transfer
 from firmware_model.law.supervision.corroboration import follow_residual, torque_waits
-from firmware_model.law.supervision.echoes import known_output, says_lost
+from firmware_model.law.supervision.echoes import Echo, known_output, says_lost
+from firmware_model.law.supervision.frozen import weigh_frozen
 from firmware_model.law.supervision.likelihood_ratio import (
+    candidate_shown,
     forget_candidate,
     lost_share,
     start_candidate,
@@ -44,17 +47,25 @@ from firmware_model.law.supervision.loss_model import (
     known_share,
     loss_output,
     loss_shown,
+    lost_command,
     take_over_candidate,
 )
 from firmware_model.law.supervision.mismatch import innovation, learn_loss, predict_mismatch
 from firmware_model.law.supervision.other_cars import show_other_cars
 from firmware_model.law.supervision.sensor_error import sensor_error_shown
-from firmware_model.law.supervision.signatures import begin_all
+from firmware_model.law.supervision.signatures import (
+    FORCE_ECHO_ROW,
+    begin_all,
+    keep_before,
+    weigh_signatures,
+)
 from firmware_model.law.supervision.verdict import (
     TORQUE_LOST,
     clear_hypotheses,
     found_elsewhere,
-    weigh_hypotheses,
+    judge,
+    take_evidence,
+    torque_evidence,
 )
 
 if TYPE_CHECKING:
@@ -95,31 +106,53 @@ def decide(
         model_1: G1 u1 in the residual: a working channel 1 adds G1 u1 to y.
         model_2: G2 u2 likewise.
     """
-    constants, test = table.decision, state.sequential_test
+    test, known, own = state.sequential_test, state.mismatch, state.hypotheses
+    loss, heard, seen, model = state.loss_model, state.echoes, state.witness, state.estimator
     show_acting_commands(table, state)
     if table.corroboration.gust > 0.0:
         follow_residual(table.corroboration, state.corroboration, residual)
-    before, w = state.fault_state, loss_shown(table, state)
-    known = sensor_error_shown(table, state)
-    predict_mismatch(table, state, model_1 + model_2, w, earlier_shown(table, state))
-    fading = earlier_missing(table, state)
-    lost = state.loss_model.share
-    new = innovation(table.mismatch, state.mismatch, residual, known, fading, lost)
-    follow_share(table.loss_model, state)
-    share = table.sequential_test.share
-    update_test(table, state, new, -known_share(state) if before == CONFIRMED else share)
-    weigh_hypotheses(table, state, new, model_1 + model_2 - fading - lost * w)
-    if found_elsewhere(state.hypotheses):
+    before = state.fault_state
+    w = loss_shown(table, loss, model, lost_command(before, state.command_1))
+    error = sensor_error_shown(table, own.sensor_error)
+    earlier = earlier_shown(table, loss)
+    predict_mismatch(table, known, state.other_cars.shown, model_1 + model_2, w, earlier)
+    fading = earlier_missing(table, loss, model, heard)
+    new = innovation(table.mismatch, known, residual, error, fading, loss.share)
+    share = known_share(loss, known)
+    follow_share(table.loss_model, loss, share)
+    shown = candidate_shown(table, test, model, state.command_1)
+    sought = -share if before == CONFIRMED else table.sequential_test.share
+    if update_test(table, test, known, shown, new, sought):
+        restart_test(table, state)
+    command_2 = state.other_cars.command_2
+    weigh_signatures(table, own.signatures, known, heard, command_2, own.verdict, new)
+    keep_before(own.signatures, test.age)
+    expected = model_1 + model_2 - fading - loss.share * w
+    weigh_frozen(table, own.frozen, known, state.measurement, new, expected)
+    take_evidence(
+        table, own, known, heard, torque_evidence(table, known, test, before == CONFIRMED, share)
+    )
+    waits = torque_waits(table, state.corroboration, heard, seen, test.age)
+    judge(table, own, known, heard, seen, waits, before == CONFIRMED, test.evidence)
+    if found_elsewhere(own):
         state.fault_state = CLEAR
-        start_candidate(table, state)
-        return
-    if before == CONFIRMED:
-        if test.evidence > constants.recover:
+        restart_test(table, state)
+    elif before == CONFIRMED:
+        if test.evidence > table.decision.recover:
             recover(table, state)
-        return
-    if is_acquitted(table, state):
+    else:
+        look_for_loss(table, state, before, model_1)
+
+
+@firmware
+def look_for_loss(table: Table, state: layout.State, before: int, model_1: float) -> None:
+    """The fault state of a tick in which no loss is known; ``before``: of the tick before."""
+    constants, test, seen = table.decision, state.sequential_test, state.witness
+    waits = torque_waits(table, state.corroboration, state.echoes, seen, test.age)
+    needed = needed_evidence(table, test, state.echoes.channel_1)
+    if is_acquitted(table, state.hypotheses):
         state.fault_state = CANNOT_TELL
-    elif test.evidence > needed_evidence(table, state) and not torque_waits(table, state):
+    elif test.evidence > needed and not waits:
         confirm(table, state)
     elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
         state.fault_state = SUSPECTED
@@ -131,24 +164,22 @@ def decide(
 
 
 @firmware
-def is_acquitted(table: Table, state: layout.State) -> bool:
+def is_acquitted(table: Table, own: verdict.State) -> bool:
     """Whether the echo of actuator 2 explains d̂ at least half as well as a loss of channel 1."""
-    own = state.hypotheses
-    other = own.signatures.force_echo.candidate.evidence
+    other = own.signatures.rows[FORCE_ECHO_ROW].candidate.evidence
     half = real(0.5, other)
     acquitted: bool = other > table.decision.suspect and other > half * own.evidence[TORQUE_LOST]
     return acquitted
 
 
 @firmware
-def needed_evidence(table: Table, state: layout.State) -> float:
+def needed_evidence(table: Table, test: likelihood_ratio.State, echo: Echo) -> float:
     """The evidence that confirms a loss of channel 1.
 
     Less is needed where the echo of actuator 1 says so too.
     """
-    constants, test = table.decision, state.sequential_test
+    constants = table.decision
     needed: float = constants.confirm
-    echo = state.echoes.channel_1
     if echo.believed == 1:  # the missing output is known already
         needed = constants.recover
     elif test.of_takeover == 1 or says_lost(table.echoes.actuator_1, echo):
@@ -159,13 +190,22 @@ def needed_evidence(table: Table, state: layout.State) -> float:
 @firmware
 def show_acting_commands(table: Table, state: layout.State) -> None:
     """Tell the other cars the commands visible in the measurement, without the known loss."""
-    one = real(1.0, state.command_1)
-    share = one - known_share(state) if state.fault_state == CONFIRMED else one
-    command_1 = state.estimator.showing_1 * share
-    command_2 = state.estimator.showing_2
+    model, one = state.estimator, real(1.0, state.command_1)
+    share = one
+    if state.fault_state == CONFIRMED:
+        share = one - known_share(state.loss_model, state.mismatch)
+    command_1 = model.showing_1 * share
+    command_2 = model.showing_2
     if table.estimator.shown_ticks_2 == 0:  # this tick's command is unknown yet, or held
         command_2 = state.command_2
-    show_other_cars(table, state, command_1, command_2)
+    show_other_cars(table, state.other_cars, model.measured, command_1, command_2)
+
+
+@firmware
+def restart_test(table: Table, state: layout.State) -> None:
+    """A new candidate for a loss, or the return, of channel 1 begins now."""
+    test, in_takeover = state.sequential_test, state.takeover.active
+    start_candidate(table, test, state.estimator, state.command_1, in_takeover)
 
 
 @firmware
@@ -180,14 +220,14 @@ def confirm(table: Table, state: layout.State) -> None:
 def recover(table: Table, state: layout.State) -> None:
     """Channel 1 works again, since the start of the candidate."""
     state.fault_state = CLEAR
-    share = known_share(state)
+    share = known_share(state.loss_model, state.mismatch)
     take_candidate(table, state, share, -real(1.0, share))
 
 
 @firmware
 def withdraw_loss(table: Table, state: layout.State) -> None:
     """Nothing was lost: the compensation fades out."""
-    clear_loss_model(state)
+    clear_loss_model(state.loss_model)
     transfer_to_losses(table, state)
     state.fault_state = CLEAR
     none = real(0.0, state.command_1)
@@ -198,8 +238,8 @@ def withdraw_loss(table: Table, state: layout.State) -> None:
 @firmware
 def set_aside(table: Table, state: layout.State) -> None:
     """No d̂ up to now is evidence."""
-    start_candidate(table, state)
-    clear_hypotheses(state)
+    restart_test(table, state)
+    clear_hypotheses(state.hypotheses)
     if state.fault_state == SUSPECTED:
         state.fault_state = CLEAR
 
@@ -210,36 +250,36 @@ def take_candidate(table: Table, state: layout.State, share: float, sign: float)
 
     From now on the filter learns the errors of share and moment.
     """
-    constants, test = table.loss_model, state.sequential_test
+    constants, test, known = table.loss_model, state.sequential_test, state.mismatch
     doubt = constants.doubt / max(test.information, table.decision.suspect)
     doubt = max(doubt, constants.least_doubt)
     moment = constants.moment * test.age
-    take_over_candidate(table, state, share, sign)
+    take_over_candidate(table, state.loss_model, known, test, share, sign)
     transfer_to_losses(table, state)
-    forget_candidate(table, state, sign * share)
-    learn_loss(
-        table.mismatch, state.mismatch, min(constants.share_variance, doubt), moment * moment
-    )
-    start_candidate(table, state)
+    forget_candidate(table, test, known, sign * share)
+    learn_loss(table.mismatch, known, min(constants.share_variance, doubt), moment * moment)
+    restart_test(table, state)
     begin_all(state.hypotheses.signatures)
 
 
 @firmware
 def transfer_to_losses(table: Table, state: layout.State) -> None:
     """Begin a bumpless transfer of F̂ to the known loss."""
-    loss = state.loss_model
+    loss, heard = state.loss_model, state.echoes
     lost = loss.previous_fading + loss.followed * loss.previous_output
-    lost += state.echoes.channel_1.previous - state.echoes.handed
-    speed = compensated_output(table, state) - lost
+    lost += heard.channel_1.previous - heard.handed
+    command = lost_command(state.fault_state, state.command_1)
+    speed = compensated_output(table, loss, heard, command) - lost
     begin_transfer(table.bumpless_transfer, state.bumpless_transfer, lost, speed)
 
 
 @firmware
-def compensated_output(table: Table, state: layout.State) -> float:
-    """The input of F̂: the known missing output."""
-    loss = state.loss_model
-    lost: float = fading_output(table, state) + loss.followed * loss_output(table, state)
+def compensated_output(
+    table: Table, loss: loss_model.State, heard: echoes.State, command: float
+) -> float:
+    """The input of F̂: the known missing output, of this tick's lost ``command``."""
+    lost: float = fading_output(table, loss) + loss.followed * loss_output(table, loss, command)
     if table.echoes.longest > 0:
-        g1, echo = table.estimator.channel_1, state.echoes.channel_1
-        lost += known_output(table.echoes.actuator_1, g1, echo) - state.echoes.handed
+        g1, echo = table.estimator.channel_1, heard.channel_1
+        lost += known_output(table.echoes.actuator_1, g1, echo) - heard.handed
     return lost

@@ -38,8 +38,9 @@ from firmware_model.law.supervision import candidate, whitener
 from firmware_model.law.supervision.whitener import add_signal, settle_whitener, whiten
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
+    from firmware_model.law.core import estimator
     from firmware_model.law.layout import Table
+    from firmware_model.law.supervision import mismatch
 
 
 KEPT_TICKS = 64
@@ -59,8 +60,7 @@ class Constants(Struct):
 
     actuator_1: Annotated[Actuator, "1", "actuator 1"]
     actuator_2: Annotated[Actuator, "1", "actuator 2"]
-    share: Annotated[candidate.Limits, "1", "limits of the share of e in d̂"]
-    wrong: Annotated[candidate.Limits, "1", "the limits where the echo is believed"]
+    wrong: Annotated[candidate.Limits, "1", "limits of the share of e in d̂ where e is believed"]
     longest: Annotated[
         int, "tick", "largest age of an echo that counts; 0: no actuator reports", (0, MAX_COUNTED)
     ]
@@ -119,25 +119,26 @@ def take_echo(constants: Constants, state: State, own: Echo, echo: float, age: f
 
 
 @firmware
-def advance_echoes(table: Table, state: layout.State) -> None:
+def advance_echoes(
+    table: Table, own: State, model: estimator.State, command_1: float, command_2: float
+) -> None:
     """A tick on: compute the outputs of the next tick; call before ``advance_model``."""
-    constants, own, estimator = table.echoes, state.echoes, table.estimator
+    constants, plant = table.echoes, table.estimator
     if constants.longest == 0:
         return
-    memory = state.estimator
-    u1, u2 = state.command_1, state.command_2
-    if estimator.latency_ticks > 0:
-        u1 = memory.delay_1[memory.delay_index]
-        u2 = memory.delay_2[memory.delay_index]
+    u1, u2 = command_1, command_2
+    if plant.latency_ticks > 0:
+        u1 = model.delay_1[model.delay_index]
+        u2 = model.delay_2[model.delay_index]
     if constants.actuator_1.dead_ticks > 0:
-        dead = max(estimator.dead_ticks_1, 1)
-        u1 = memory.dead_1[(memory.dead_index_1 + dead - constants.actuator_1.dead_ticks) % dead]
+        dead = max(plant.dead_ticks_1, 1)
+        u1 = model.dead_1[(model.dead_index_1 + dead - constants.actuator_1.dead_ticks) % dead]
     if constants.actuator_2.dead_ticks > 0:
-        dead = max(estimator.dead_ticks_2, 1)
-        u2 = memory.dead_2[(memory.dead_index_2 + dead - constants.actuator_2.dead_ticks) % dead]
+        dead = max(plant.dead_ticks_2, 1)
+        u2 = model.dead_2[(model.dead_index_2 + dead - constants.actuator_2.dead_ticks) % dead]
     own.index = (own.index + 1) % KEPT_TICKS
-    advance_echo(constants.actuator_1, estimator.channel_1, own.channel_1, u1, own.index)
-    advance_echo(constants.actuator_2, estimator.channel_2, own.channel_2, u2, own.index)
+    advance_echo(constants.actuator_1, plant.channel_1, own.channel_1, u1, own.index)
+    advance_echo(constants.actuator_2, plant.channel_2, own.channel_2, u2, own.index)
     taken = real(0.0, u1)
     if obeys(constants.actuator_1, own.channel_1) and abs(u1) < table.actuator_1.limit:
         taken = own.channel_1.previous
@@ -185,13 +186,13 @@ def known_output(constants: Actuator, channel: biquad.Constants, own: Echo) -> f
 
 @firmware
 def believe(
-    table: Table, state: layout.State, own: Echo, row: candidate.State, answer: biquad.State
+    table: Table, known: mismatch.State, own: Echo, row: candidate.State, answer: biquad.State
 ) -> None:
     """Believe the echo from the onset of its signature on; a believed echo, no longer.
 
     Args:
         table: the constant table.
-        state: changed in place.
+        known: of the car; changed in place.
         own: the echo.
         row: the fit of its signature to d̂.
         answer: the state of G that makes the signature.
@@ -203,8 +204,8 @@ def believe(
         for j in range(2):
             own.known.accumulators[i, j] += sign * answer.accumulators[i, j]
     for i in range(table.mismatch.n):
-        state.mismatch.theta[i] -= sign * row.explained[i]
-    add_signal(table.mismatch.whitener, state.mismatch.white.fading, sign, row.white)
+        known.theta[i] -= sign * row.explained[i]
+    add_signal(table.mismatch.whitener, known.white.fading, sign, row.white)
     own.believed = 1 - own.believed
     own.good = 0
     own.stray = own.swing = 0.0
@@ -244,11 +245,10 @@ def works(own: Echo, working: int) -> bool:
 
 
 @firmware
-def settle_echoes(table: Table, state: layout.State) -> None:
+def settle_echoes(constants: Constants, own: State, command_1: float, command_2: float) -> None:
     """The actuators have followed the present commands for long; no echo has come."""
-    constants, own = table.echoes, state.echoes
-    settle_echo(constants.actuator_1, own.channel_1, state.command_1)
-    settle_echo(constants.actuator_2, own.channel_2, state.command_2)
+    settle_echo(constants.actuator_1, own.channel_1, command_1)
+    settle_echo(constants.actuator_2, own.channel_2, command_2)
     own.between = own.handed = 0.0
 
 

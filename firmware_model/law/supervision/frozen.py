@@ -17,8 +17,8 @@ from firmware_model.law.supervision import candidate
 from firmware_model.law.supervision.candidate import State as CandidateState, start, take_in
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
     from firmware_model.law.layout import Table
+    from firmware_model.law.supervision import mismatch
 
 
 class Constants(Struct):
@@ -40,19 +40,21 @@ class State(Struct):
 
 
 @firmware
-def weigh_frozen(table: Table, state: layout.State, innovation: float, expected: float) -> None:
-    """Take in a tick, of which the model expects y to be ``expected``."""
-    constants, own = table.hypotheses.frozen, state.hypotheses.frozen
-    if state.measurement != own.measurement:
+def weigh_frozen(
+    table: Table, own: State, known: mismatch.State, y: float, innovation: float, expected: float
+) -> None:
+    """Take in a tick with the measurement ``y``, which the model expects to be ``expected``."""
+    constants = table.hypotheses.frozen
+    if y != own.measurement:
         thaw(own)
-        own.measurement, own.expected = state.measurement, expected
+        own.measurement, own.expected = y, expected
         return
     own.repetitions += real(1.0, expected)
     moved = expected - own.expected
     missing = moved
     if table.estimator.measurement.n > 0:  # the model predicts M y, not y
         missing = real(0.0, expected)
-    take_in(table, state, own.candidate, constants.size_of_one, missing, innovation)
+    take_in(table.mismatch, known, own.candidate, constants.size_of_one, missing, innovation)
     own.evidence = real(0.0, expected)
     if abs(moved) > constants.least_motion:
         own.evidence = own.candidate.evidence + own.repetitions * constants.repetition

@@ -31,7 +31,7 @@ def hear(table: Table, state: layout.State, sensor: float, value: float, age_tic
     sample, age = real(value, state.command_1), real(age_ticks, state.command_1)
     if not (math.isfinite(sample) and age >= 0.0 and age < real(KEPT_TICKS, age)):
         return
-    if is_damaged(state):
+    if is_damaged(state.estimator, state.echoes, state.witness, state.mismatch):
         return
     if sensor == 1.0:
         take_echo(table.echoes, state.echoes, state.echoes.channel_1, sample, age)

@@ -27,6 +27,7 @@ from firmware_model.law.supervision.whitener import settle_whitener
 if TYPE_CHECKING:
     from firmware_model.law import layout
     from firmware_model.law.layout import Table
+    from firmware_model.law.supervision import loss_model, mismatch, verdict
 
 
 class Saved(Struct):
@@ -51,7 +52,7 @@ def save(state: layout.State) -> None:
         return
     own.fingerprint = 1
     own.fault_state = state.fault_state
-    own.share = known_share(state)
+    own.share = known_share(state.loss_model, state.mismatch)
     own.share_variance = variance_of(state.mismatch.covariance, 0)
     own.verdict = state.hypotheses.verdict
     own.found_size = state.hypotheses.found_size
@@ -78,33 +79,46 @@ def known_offset(own: Saved) -> float:
 
 
 @firmware
-def recall_loss(table: Table, state: layout.State, torque: float) -> float:
+def knows_loss(own: Saved) -> bool:
+    """Whether a loss of channel 1 is saved."""
+    return own.fingerprint != 0 and own.fault_state == CONFIRMED
+
+
+@firmware
+def recall_loss(table: Table, own: Saved, loss: loss_model.State, torque: float) -> float:
     """Return s w in the steady state of a constant ``torque``; 0 where no loss is saved."""
-    own, loss = state.saved, state.loss_model
-    if own.fingerprint == 0 or own.fault_state != CONFIRMED:
+    if not knows_loss(own):
         return real(0.0, torque)
     share = own.share
     w = settle(table.estimator.channel_1, loss.channel_1, torque)
-    state.fault_state = CONFIRMED
     loss.share = loss.between = loss.followed = share
     loss.delay[:] = loss.previous_output = w
     lost: float = share * w
-    state.bumpless_transfer.carried = lost
     return lost
 
 
 @firmware
-def recall_car(table: Table, state: layout.State) -> None:
-    """Go on with the saved θ, verdict and error of the sensor, behind ``recall_loss``."""
-    own, known, found = state.saved, state.mismatch, state.hypotheses
-    whitener, lost = table.mismatch.whitener, state.bumpless_transfer.carried
+def recall_car(
+    table: Table, own: Saved, known: mismatch.State, found: verdict.State, w: float, lost: float
+) -> None:
+    """Go on with the saved θ, verdict and error of the sensor.
+
+    Args:
+        table: the constant table.
+        own: from then on no longer of use.
+        known: of the car; changed in place.
+        found: the verdict; changed in place.
+        w: the answer of G1 to the torque that ``recall_loss`` was told.
+        lost: what ``recall_loss`` answered.
+    """
+    whitener = table.mismatch.whitener
     if own.fingerprint == 0:
         return
     own.fingerprint = 0
     for i in range(MAX_STATES):
         known.theta[i] = own.theta[i]
     learn_loss(table.mismatch, known, own.share_variance, real(0.0, own.share))
-    settle_whitener(whitener, known.white.lost, state.loss_model.previous_output)
+    settle_whitener(whitener, known.white.lost, w)
     if own.verdict != SENSOR_FROZEN and (own.verdict < ANOTHER_CAR or own.verdict == BOTH_LOST):
         found.verdict = own.verdict
         found.found_size = own.found_size
@@ -112,4 +126,3 @@ def recall_car(table: Table, state: layout.State) -> None:
     hidden = settle(table.estimator.measurement, found.sensor_error.answer, own.offset)
     settle_whitener(whitener, known.white.sensor_error, hidden)
     settle_whitener(whitener, known.white.d_hat, lost - hidden)
-    state.prediction.difference = own.offset

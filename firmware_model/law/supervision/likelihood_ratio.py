@@ -35,8 +35,9 @@ from firmware_model.law.supervision.covariance import MAX_STATES
 from firmware_model.law.supervision.whitener import whiten
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
+    from firmware_model.law.core import estimator
     from firmware_model.law.layout import Table
+    from firmware_model.law.supervision import mismatch
 
 
 class Constants(Struct):
@@ -73,26 +74,36 @@ class State(Struct):
 
 
 @firmware
-def candidate_output(table: Table, state: layout.State) -> float:
-    """Return w of this tick, driven by this tick's command."""
-    candidate = state.sequential_test.channel_1
-    w: float = output(table.estimator.channel_1, candidate, state.command_1)
-    return w
+def candidate_shown(table: Table, test: State, model: estimator.State, command_1: float) -> float:
+    """Return w as contained in d̂ of this tick, late by bus and dead time."""
+    if table.estimator.shown_ticks_1 > 0:
+        w: float = test.delay[model.shown_index_1]
+        return w
+    return output(table.estimator.channel_1, test.channel_1, command_1)
 
 
 @firmware
-def update_test(table: Table, state: layout.State, innovation: float, share: float) -> None:
-    """Take in a tick; ``share`` is signed: above 0 a loss is looked for, below 0 a return."""
-    test, mismatch = state.sequential_test, state.mismatch
-    first = mismatch.covariance.first
-    shown = candidate_shown(table, state)
+def update_test(
+    table: Table, test: State, known: mismatch.State, shown: float, innovation: float, share: float
+) -> bool:
+    """Take in a tick, and return whether the candidate ends.
+
+    Args:
+        table: the constant table.
+        test: changed in place.
+        known: of the car, of this tick.
+        shown: w in d̂ of this tick.
+        innovation: ν.
+        share: above 0 a loss is looked for, below 0 a return.
+    """
+    first = known.covariance.first
     signature = whiten(table.mismatch.whitener, test.white, shown)
     for i in range(first, table.mismatch.n):
-        signature -= mismatch.regressor[i] * test.explained[i]
+        signature -= known.regressor[i] * test.explained[i]
     for i in range(first, table.mismatch.n):
-        test.explained[i] = mismatch.memory[i] * (test.explained[i] + mismatch.gain[i] * signature)
-    correlation = signature * innovation / mismatch.variance
-    information = signature * signature / mismatch.variance
+        test.explained[i] = known.memory[i] * (test.explained[i] + known.gain[i] * signature)
+    correlation = signature * innovation / known.variance
+    information = signature * signature / known.variance
     half = real(0.5, share)
     test.evidence += share * (correlation - half * share * information)
     test.correlation += correlation
@@ -101,8 +112,7 @@ def update_test(table: Table, state: layout.State, innovation: float, share: flo
     constants, none = table.sequential_test, real(0.0, share)
     suspected = share > none and test.evidence > constants.promising
     stale = is_stale(constants, test) and not suspected
-    if stale or not test.evidence > constants.restart:
-        start_candidate(table, state)
+    return stale or not test.evidence > constants.restart
 
 
 @firmware
@@ -123,19 +133,12 @@ def is_stale(constants: Constants, test: State) -> bool:
 
 
 @firmware
-def candidate_shown(table: Table, state: layout.State) -> float:
-    """Return w as contained in d̂ of this tick, late by bus and dead time."""
-    if table.estimator.shown_ticks_1 > 0:
-        w: float = state.sequential_test.delay[state.estimator.shown_index_1]
-        return w
-    return candidate_output(table, state)
-
-
-@firmware
-def start_candidate(table: Table, state: layout.State) -> None:
+def start_candidate(
+    table: Table, test: State, model: estimator.State, command_1: float, of_takeover: int
+) -> None:
     """Restart: all past commands acted; the commands on the way are lost."""
-    test, estimator = state.sequential_test, table.estimator
-    g1, shown = estimator.channel_1, estimator.shown_ticks_1
+    constants = table.estimator
+    g1, shown = constants.channel_1, constants.shown_ticks_1
     test.channel_1.accumulators[:] = 0.0
     test.earlier.accumulators[:] = 0.0
     test.explained[:] = 0.0
@@ -143,36 +146,34 @@ def start_candidate(table: Table, state: layout.State) -> None:
     test.previous_output = 0.0
     test.white.memory[:] = 0.0
     test.half_age = test.half_information = 0.0
-    test.of_takeover = state.takeover.active
+    test.of_takeover = of_takeover
     for i in range(shown):
-        command = pending_command(estimator, state.estimator, i)
+        command = pending_command(constants, model, i)
         w = output(g1, test.channel_1, command)
-        test.delay[(state.estimator.shown_index_1 + i) % shown] = w
+        test.delay[(model.shown_index_1 + i) % shown] = w
         test.previous_output = w
         advance(g1, test.channel_1, command)
-    before = state.command_1
+    before = command_1
     if shown > 0:  # the last acting command has left the ring and hardly differs
-        before = pending_command(estimator, state.estimator, 0)
+        before = pending_command(constants, model, 0)
     advance(g1, test.earlier, before)
 
 
 @firmware
-def advance_candidate(table: Table, state: layout.State) -> None:
+def advance_candidate(table: Table, test: State, model: estimator.State, command_1: float) -> None:
     """Advance w by this tick's command, computed or held."""
-    test = state.sequential_test
-    w = advance(table.estimator.channel_1, test.channel_1, state.command_1)
+    w = advance(table.estimator.channel_1, test.channel_1, command_1)
     test.previous_output = w
     advance(table.estimator.channel_1, test.earlier, real(0.0, w))
     if table.estimator.shown_ticks_1 > 0:
-        test.delay[state.estimator.shown_index_1] = w
+        test.delay[model.shown_index_1] = w
 
 
 @firmware
-def forget_candidate(table: Table, state: layout.State, share: float) -> None:
+def forget_candidate(table: Table, test: State, known: mismatch.State, share: float) -> None:
     """Remove the effect of ``share`` of w from θ: θ took the loss for another car."""
-    theta, explained = state.mismatch.theta, state.sequential_test.explained
     for i in range(table.mismatch.n):
-        theta[i] -= share * explained[i]
+        known.theta[i] -= share * test.explained[i]
 
 
 @firmware

@@ -22,8 +22,9 @@ from firmware_model.law.supervision.echoes import known_output
 from firmware_model.law.supervision.whitener import add_signal
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
+    from firmware_model.law.core import estimator
     from firmware_model.law.layout import Table
+    from firmware_model.law.supervision import echoes, likelihood_ratio, mismatch
 
 
 CONFIRMED = int(FaultState.CONFIRMED)
@@ -59,67 +60,75 @@ class State(Struct):
 
 
 @firmware
-def loss_output(table: Table, state: layout.State) -> float:
-    """Return w of this tick, driven by this tick's command."""
-    w: float = output(table.estimator.channel_1, state.loss_model.channel_1, lost_command(state))
+def lost_command(fault_state: int, command_1: float) -> float:
+    """The command with the lost share s: this tick's command, or zero before a known loss."""
+    return command_1 if fault_state == CONFIRMED else real(0.0, command_1)
+
+
+@firmware
+def loss_output(table: Table, own: State, lost: float) -> float:
+    """Return w of this tick, driven by this tick's ``lost`` command."""
+    w: float = output(table.estimator.channel_1, own.channel_1, lost)
     return w
 
 
 @firmware
-def loss_shown(table: Table, state: layout.State) -> float:
+def loss_shown(table: Table, own: State, model: estimator.State, lost: float) -> float:
     """Return w as contained in d̂ of this tick, late by bus and dead time."""
     if table.estimator.shown_ticks_1 > 0:
-        w: float = state.loss_model.delay[state.estimator.shown_index_1]
+        w: float = own.delay[model.shown_index_1]
         return w
-    return loss_output(table, state)
+    return loss_output(table, own, lost)
 
 
 @firmware
-def fading_output(table: Table, state: layout.State) -> float:
+def fading_output(table: Table, own: State) -> float:
     """Return the output that is still missing after the losses and returns before."""
-    zero = real(0.0, state.command_1)
-    fading: float = output(table.estimator.channel_1, state.loss_model.fading, zero)
+    fading: float = output(table.estimator.channel_1, own.fading, real(0.0, own.share))
     return fading
 
 
 @firmware
-def fading_shown(table: Table, state: layout.State) -> float:
-    """Return ``fading_output`` as contained in d̂ of this tick, late by bus and dead time."""
+def earlier_missing(table: Table, own: State, model: estimator.State, heard: echoes.State) -> float:
+    """Return the known output missing in this tick's d̂ less the present loss.
+
+    Of earlier losses, late by bus and dead time, and by echoes.
+    """
     if table.estimator.shown_ticks_1 > 0:
-        fading: float = state.loss_model.fading_delay[state.estimator.shown_index_1]
-        return fading
-    return fading_output(table, state)
-
-
-@firmware
-def missing_shown(table: Table, state: layout.State) -> float:
-    """Return all that is known to be missing in the measurement of this tick."""
-    missing: float = earlier_missing(table, state) + known_share(state) * loss_shown(table, state)
-    return missing
-
-
-@firmware
-def earlier_missing(table: Table, state: layout.State) -> float:
-    """Return the known missing output less the present loss: of earlier losses, and by echoes."""
-    missing: float = fading_shown(table, state)
+        missing: float = own.fading_delay[model.shown_index_1]
+    else:
+        missing = fading_output(table, own)
     if table.echoes.longest > 0:
         g1, g2 = table.estimator.channel_1, table.estimator.channel_2
-        missing += known_output(table.echoes.actuator_1, g1, state.echoes.channel_1)
-        missing += known_output(table.echoes.actuator_2, g2, state.echoes.channel_2)
+        missing += known_output(table.echoes.actuator_1, g1, heard.channel_1)
+        missing += known_output(table.echoes.actuator_2, g2, heard.channel_2)
     return missing
 
 
 @firmware
-def earlier_shown(table: Table, state: layout.State) -> float:
-    """Return the change of the delayed w if the confirmed loss were one tick older."""
-    zero = real(0.0, state.command_1)
-    return output(table.estimator.channel_1, state.loss_model.earlier, zero)
+def missing_shown(
+    table: Table,
+    own: State,
+    known: mismatch.State,
+    model: estimator.State,
+    heard: echoes.State,
+    lost: float,
+) -> float:
+    """Return all that is known to be missing in the measurement of this tick."""
+    missing: float = earlier_missing(table, own, model, heard)
+    return missing + known_share(own, known) * loss_shown(table, own, model, lost)
 
 
 @firmware
-def known_share(state: layout.State) -> float:
+def earlier_shown(table: Table, own: State) -> float:
+    """Return the change of the delayed w if the confirmed loss were one tick older."""
+    return output(table.estimator.channel_1, own.earlier, real(0.0, own.share))
+
+
+@firmware
+def known_share(own: State, known: mismatch.State) -> float:
     """The present estimate of s, 0..1."""
-    return possible_share(state.loss_model.share + state.mismatch.theta[0])
+    return possible_share(own.share + known.theta[0])
 
 
 @firmware
@@ -130,76 +139,73 @@ def possible_share(share: float) -> float:
 
 
 @firmware
-def follow_share(constants: Constants, state: layout.State) -> None:
-    """What F̂ gets of s, a tick later."""
-    loss = state.loss_model
-    loss.between += constants.follow * (known_share(state) - loss.between)
-    loss.followed += constants.follow * (loss.between - loss.followed)
+def follow_share(constants: Constants, own: State, share: float) -> None:
+    """What F̂ gets of ``share``, the present estimate of s, a tick later."""
+    own.between += constants.follow * (share - own.between)
+    own.followed += constants.follow * (own.between - own.followed)
 
 
 @firmware
-def lost_command(state: layout.State) -> float:
-    """The command with the lost share s: this tick's command, or zero before a known loss."""
-    command: float = state.command_1
-    if state.fault_state == CONFIRMED:
-        return command
-    return real(0.0, command)
-
-
-@firmware
-def advance_loss_model(table: Table, state: layout.State) -> None:
-    """Advance w by this tick's command, computed or held."""
-    loss = state.loss_model
-    w = advance(table.estimator.channel_1, loss.channel_1, lost_command(state))
-    loss.previous_output = w
+def advance_loss_model(table: Table, own: State, model: estimator.State, lost: float) -> None:
+    """Advance w by this tick's ``lost`` command, computed or held."""
+    w = advance(table.estimator.channel_1, own.channel_1, lost)
+    own.previous_output = w
     zero = real(0.0, w)
-    advance(table.estimator.channel_1, loss.earlier, zero)
-    fading = advance(table.estimator.channel_1, loss.fading, zero)
-    loss.previous_fading = fading
+    advance(table.estimator.channel_1, own.earlier, zero)
+    fading = advance(table.estimator.channel_1, own.fading, zero)
+    own.previous_fading = fading
     if table.estimator.shown_ticks_1 > 0:
-        loss.delay[state.estimator.shown_index_1] = w
-        loss.fading_delay[state.estimator.shown_index_1] = fading
+        own.delay[model.shown_index_1] = w
+        own.fading_delay[model.shown_index_1] = fading
 
 
 @firmware
-def take_over_candidate(table: Table, state: layout.State, share: float, sign: float) -> None:
+def take_over_candidate(
+    table: Table,
+    own: State,
+    known: mismatch.State,
+    test: likelihood_ratio.State,
+    share: float,
+    sign: float,
+) -> None:
     """The candidate becomes the loss (``sign`` 1) or the return (-1); what was lost before fades.
 
     Args:
         table: the constant table.
-        state: changed in place.
+        own: changed in place.
+        known: of the car; changed in place.
+        test: with the candidate.
         share: s from now on.
         sign: 1 or -1.
     """
-    loss, test, g1 = state.loss_model, state.sequential_test, table.estimator.channel_1
-    known, moment = known_share(state), state.mismatch.theta[1]
-    shift = moment * output(g1, loss.earlier, real(0.0, share))
+    g1 = table.estimator.channel_1
+    before, moment = known_share(own, known), known.theta[1]
+    shift = moment * output(g1, own.earlier, real(0.0, share))
     for i in range(g1.n):
         for j in range(2):
-            left = known * loss.channel_1.accumulators[i, j]
-            loss.fading.accumulators[i, j] += left + moment * loss.earlier.accumulators[i, j]
-            loss.channel_1.accumulators[i, j] = sign * test.channel_1.accumulators[i, j]
-            loss.earlier.accumulators[i, j] = test.earlier.accumulators[i, j]
-    white, w = state.mismatch.white, table.mismatch.whitener
-    add_signal(w, white.fading, known, white.lost)
+            left = before * own.channel_1.accumulators[i, j]
+            own.fading.accumulators[i, j] += left + moment * own.earlier.accumulators[i, j]
+            own.channel_1.accumulators[i, j] = sign * test.channel_1.accumulators[i, j]
+            own.earlier.accumulators[i, j] = test.earlier.accumulators[i, j]
+    white, w = known.white, table.mismatch.whitener
+    add_signal(w, white.fading, before, white.lost)
     add_signal(w, white.fading, moment, white.earlier)
     white.lost.memory[:] = white.earlier.memory[:] = 0.0
     add_signal(w, white.lost, sign, test.white)
     for i in range(table.estimator.shown_ticks_1):
-        loss.fading_delay[i] += known * loss.delay[i] + shift
-        loss.delay[i] = sign * test.delay[i]
-    loss.previous_fading += known * loss.previous_output + shift
-    loss.previous_output = sign * test.previous_output
-    loss.share = share
-    loss.between = loss.followed = possible_share(share)
+        own.fading_delay[i] += before * own.delay[i] + shift
+        own.delay[i] = sign * test.delay[i]
+    own.previous_fading += before * own.previous_output + shift
+    own.previous_output = sign * test.previous_output
+    own.share = share
+    own.between = own.followed = possible_share(share)
 
 
 @firmware
-def clear_loss_model(state: layout.State) -> None:
+def clear_loss_model(own: State) -> None:
     """Nothing is lost."""
-    loss = state.loss_model
-    loss.channel_1.accumulators[:] = 0.0
-    loss.earlier.accumulators[:] = loss.fading.accumulators[:] = 0.0
-    loss.delay[:] = loss.fading_delay[:] = 0.0
-    loss.previous_fading = 0.0
-    loss.share = loss.between = loss.followed = loss.previous_output = 0.0
+    own.channel_1.accumulators[:] = 0.0
+    own.earlier.accumulators[:] = own.fading.accumulators[:] = 0.0
+    own.delay[:] = own.fading_delay[:] = 0.0
+    own.previous_fading = 0.0
+    own.share = own.between = own.followed = own.previous_output = 0.0

@@ -15,8 +15,9 @@ from firmware_model.law.status import FaultState
 from firmware_model.law.structs import MAX_SECTIONS, Records
 
 if TYPE_CHECKING:
-    from firmware_model.law.core import biquad
+    from firmware_model.law.core import biquad, estimator, tracking
     from firmware_model.law.layout import State, Table
+    from firmware_model.law.supervision import likelihood_ratio, loss_model
 
 
 CONFIRMED = int(FaultState.CONFIRMED)
@@ -35,22 +36,31 @@ def act(
         command_1: the command of actuator 1.
         command_2: the command of actuator 2.
     """
-    estimator = state.estimator
-    at = estimator.delay_index
-    lost_1 = real(estimator.delay_1[at] - command_1, state.command_1)
-    lost_2 = real(estimator.delay_2[at] - command_2, state.command_2)
-    estimator.delay_1[at] = command_1
-    estimator.delay_2[at] = command_2
-    lose_command_1(table, state, motion, lost_1)
-    lose_command_2(table, state, motion, lost_2)
+    constants, model = table.estimator, state.estimator
+    at, owes = model.delay_index, state.fault_state == CONFIRMED
+    lost_1 = real(model.delay_1[at] - command_1, state.command_1)
+    lost_2 = real(model.delay_2[at] - command_2, state.command_2)
+    model.delay_1[at] = command_1
+    model.delay_2[at] = command_2
+    test, loss = state.sequential_test, state.loss_model
+    first = model.shown_index_1 - constants.latency_ticks
+    lose_command_1(constants, state.shortfall_1, test, loss, owes, motion, first, lost_1)
+    first = model.shown_index_2 - constants.latency_ticks
+    lose_command_2(constants, state.shortfall_2, state.tracking, motion, first, lost_2)
 
 
 @firmware
-def lose_command_1(table: Table, state: State, motion: biquad.State, lost: float) -> None:
-    """Subtract ``lost`` from the acting command 1."""
-    constants, test, loss = table.estimator, state.sequential_test, state.loss_model
-    owes = state.fault_state == CONFIRMED
-    first = state.estimator.shown_index_1 - constants.latency_ticks
+def lose_command_1(
+    constants: estimator.Constants,
+    shortfall: biquad.State,
+    test: likelihood_ratio.State,
+    loss: loss_model.State,
+    owes: bool,
+    motion: biquad.State,
+    first: int,
+    lost: float,
+) -> None:
+    """Subtract ``lost`` from the acting command 1, shown from the index ``first`` on."""
     motion.accumulators[:] = 0.0
     for k in range(constants.latency_ticks):
         missing = advance(constants.channel_1, motion, lost)
@@ -62,25 +72,30 @@ def lose_command_1(table: Table, state: State, motion: biquad.State, lost: float
     for i in range(MAX_SECTIONS):
         for j in range(2):
             missing = motion.accumulators[i, j]
-            state.shortfall_1.accumulators[i, j] += missing
+            shortfall.accumulators[i, j] += missing
             test.channel_1.accumulators[i, j] -= missing
             if owes:
                 loss.channel_1.accumulators[i, j] -= missing
 
 
 @firmware
-def lose_command_2(table: Table, state: State, motion: biquad.State, lost: float) -> None:
-    """Subtract ``lost`` from the acting command 2."""
-    constants = table.estimator
-    first = state.estimator.shown_index_2 - constants.latency_ticks
+def lose_command_2(
+    constants: estimator.Constants,
+    shortfall: biquad.State,
+    tracked: tracking.State,
+    motion: biquad.State,
+    first: int,
+    lost: float,
+) -> None:
+    """Subtract ``lost`` from the acting command 2, shown from the index ``first`` on."""
     motion.accumulators[:] = 0.0
     for k in range(constants.latency_ticks):
         i = (first + k) % constants.shown_ticks_2
-        state.tracking.delay[i] += advance(constants.channel_2, motion, lost)
+        tracked.delay[i] += advance(constants.channel_2, motion, lost)
         lost = real(0.0, lost)
     for i in range(MAX_SECTIONS):
         for j in range(2):
-            state.shortfall_2.accumulators[i, j] += motion.accumulators[i, j]
+            shortfall.accumulators[i, j] += motion.accumulators[i, j]
 
 
 @firmware

@@ -33,10 +33,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
-from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.structs import FloatArray, Records, Struct
 from firmware_model.law.supervision import whitener
 from firmware_model.law.supervision.covariance import (
     LOSS_STATES,
+    MAX_DIRECTIONS,
     MAX_STATES,
     SIZES,
     State as CovarianceState,
@@ -50,7 +51,6 @@ from firmware_model.law.supervision.covariance import (
 from firmware_model.law.supervision.whitener import settle_whitener, whiten
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
     from firmware_model.law.layout import Table
 
 
@@ -82,10 +82,7 @@ class White(Struct):
 
     lost: Annotated[whitener.State, "y", "w of a confirmed loss"]
     earlier: Annotated[whitener.State, "y", "change of w with the moment of the loss"]
-    car_1: Annotated[whitener.State, "y", "x of the first other car"]
-    car_2: Annotated[whitener.State, "y", "of the second"]
-    car_3: Annotated[whitener.State, "y", "of the third"]
-    car_4: Annotated[whitener.State, "y", "of the fourth"]
+    cars: Annotated[Records[whitener.State], "y", "x of each other car", (MAX_DIRECTIONS,)]
     d_hat: Annotated[whitener.State, "y", "d̂"]
     sensor_error: Annotated[whitener.State, "y", "known error of the sensor"]
     fading: Annotated[whitener.State, "y", "missing output left by earlier losses and returns"]
@@ -112,21 +109,22 @@ class State(Struct):
 
 @firmware
 def predict_mismatch(
-    table: Table, state: layout.State, model_output: float, lost: float, earlier: float
+    table: Table, known: State, shown: FloatArray, model_output: float, lost: float, earlier: float
 ) -> None:
     """Compute x of this tick and the part of x in the noise variance.
 
     Args:
         table: the constant table.
-        state: changed in place; ``other_cars`` shows this tick.
+        known: changed in place.
+        shown: x_i of this tick, of ``other_cars``.
         model_output: G1 u1 + G2 u2 as contained in d̂.
         lost: w of a confirmed loss as contained in d̂; 0 without loss.
         earlier: the change of w if the loss were one tick older.
     """
-    constants, mismatch, shown = table.mismatch, state.mismatch, state.other_cars.shown
-    x, previous, w, white = mismatch.regressor, mismatch.x, constants.whitener, mismatch.white
+    constants = table.mismatch
+    x, previous, w, white = known.regressor, known.x, constants.whitener, known.white
     extent = change = real(0.0, model_output)
-    if mismatch.covariance.first == 0:
+    if known.covariance.first == 0:
         x[0] = whiten(w, white.lost, lost)
         x[1] = whiten(w, white.earlier, earlier)
     previous[0], previous[1] = lost, earlier
@@ -136,25 +134,18 @@ def predict_mismatch(
         previous[k] = now
         extent += now * now
         change += moved * moved
-    if table.other_cars.n > 0:
-        x[LOSS_STATES] = whiten(w, white.car_1, shown[0])
-    if table.other_cars.n > 1:
-        x[LOSS_STATES + 1] = whiten(w, white.car_2, shown[1])
-    if table.other_cars.n > 2:
-        x[LOSS_STATES + 2] = whiten(w, white.car_3, shown[2])
-    if table.other_cars.n > 3:
-        x[LOSS_STATES + 3] = whiten(w, white.car_4, shown[3])
+        x[k] = whiten(w, white.cars[i], now)
     if constants.n > LOSS_STATES:
         x[constants.n - 1] = constants.remainder_shown
-    moved = model_output - mismatch.previous_model_output
-    mismatch.previous_model_output = model_output
+    moved = model_output - known.previous_model_output
+    known.previous_model_output = model_output
     fading, motion = constants.fading, constants.motion
-    mismatch.extent = max(fading * mismatch.extent, finite(extent))
-    mismatch.change = max(fading * mismatch.change, finite(motion * change))
-    beyond, rule = constants.beyond * mismatch.change, finite(constants.rule * moved * moved)
-    mismatch.rule = max(fading * mismatch.rule, rule)
-    off = difference(table, mismatch)
-    mismatch.remainder = max(beyond * off * off, mismatch.rule)
+    known.extent = max(fading * known.extent, finite(extent))
+    known.change = max(fading * known.change, finite(motion * change))
+    beyond, rule = constants.beyond * known.change, finite(constants.rule * moved * moved)
+    known.rule = max(fading * known.rule, rule)
+    off = difference(table, known)
+    known.remainder = max(beyond * off * off, known.rule)
 
 
 @firmware
@@ -230,26 +221,21 @@ def clear_mismatch(constants: Constants, state: State) -> None:
     state.previous_residual = 0.0
     white = state.white
     white.lost.memory[:] = white.earlier.memory[:] = 0.0
-    white.car_1.memory[:] = white.car_2.memory[:] = 0.0
-    white.car_3.memory[:] = white.car_4.memory[:] = 0.0
+    for i in range(MAX_DIRECTIONS):
+        white.cars[i].memory[:] = 0.0
     white.d_hat.memory[:] = white.sensor_error.memory[:] = white.fading.memory[:] = 0.0
 
 
 @firmware
-def settle_mismatch(table: Table, state: layout.State, model_output: float) -> None:
+def settle_mismatch(table: Table, known: State, shown: FloatArray, model_output: float) -> None:
     """The steady state that ``other_cars`` shows; nothing is known of the car."""
     zero = real(0.0, model_output)
-    clear_mismatch(table.mismatch, state.mismatch)
-    learn_loss(table.mismatch, state.mismatch, zero, zero)
-    predict_mismatch(table, state, model_output, zero, zero)
-    w, white, shown = table.mismatch.whitener, state.mismatch.white, state.other_cars.shown
-    settle_whitener(w, white.car_1, shown[0])
-    settle_whitener(w, white.car_2, shown[1])
-    settle_whitener(w, white.car_3, shown[2])
-    settle_whitener(w, white.car_4, shown[3])
-    state.mismatch.change = state.mismatch.rule = state.mismatch.remainder = (
-        0.0  # it came there long ago
-    )
+    clear_mismatch(table.mismatch, known)
+    learn_loss(table.mismatch, known, zero, zero)
+    predict_mismatch(table, known, shown, model_output, zero, zero)
+    for i in range(MAX_DIRECTIONS):
+        settle_whitener(table.mismatch.whitener, known.white.cars[i], shown[i])
+    known.change = known.rule = known.remainder = 0.0  # the car came there long ago
 
 
 @firmware

@@ -17,11 +17,10 @@ from typing import TYPE_CHECKING, Annotated
 from firmware_model.compiled import firmware
 from firmware_model.law.core import biquad
 from firmware_model.law.core.biquad import advance, output, settle
-from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.structs import FloatArray, Records, Struct
 from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
     from firmware_model.law.layout import Table
 
 
@@ -46,90 +45,69 @@ class Constants(Struct):
 
     n: Annotated[int, "1", "principal directions in use", (0, MAX_DIRECTIONS)]
     scale: Annotated[float, "1", "from a car of this table to the end of the box"]
-    car_1: Annotated[Car, "1", "the car along the first direction"]
-    car_2: Annotated[Car, "1", "likewise the second"]
-    car_3: Annotated[Car, "1", "likewise the third"]
-    car_4: Annotated[Car, "1", "likewise the fourth"]
+    cars: Annotated[Records[Car], "1", "the car along each direction", (MAX_DIRECTIONS,)]
 
 
 class State(Struct):
     """State."""
 
     model: Annotated[CarState, "y", "the model, driven by the same commands"]
-    car_1: Annotated[CarState, "y", "the first car"]
-    car_2: Annotated[CarState, "y", "the second car"]
-    car_3: Annotated[CarState, "y", "the third car"]
-    car_4: Annotated[CarState, "y", "the fourth car"]
+    cars: Annotated[Records[CarState], "y", "each car", (MAX_DIRECTIONS,)]
     shown: Annotated[FloatArray, "y", "x_i of this tick", (MAX_DIRECTIONS,)]
     command_1: Annotated[float, "u1", "command 1 in the measurement, without the known loss"]
     command_2: Annotated[float, "u2", "command 2 likewise"]
 
 
 @firmware
-def show_other_cars(table: Table, state: layout.State, command_1: float, command_2: float) -> None:
-    """Return x of this tick; these commands begin to act on the measurement."""
-    cars, own, shown = table.other_cars, state.other_cars, state.other_cars.shown
+def show_other_cars(table: Table, own: State, y: float, command_1: float, command_2: float) -> None:
+    """Compute x of this tick; these commands begin to act on the measurement ``y``."""
+    cars, shown = table.other_cars, own.shown
     own.command_1, own.command_2 = command_1, command_2
     if cars.n == 0:
         return
-    u1, u2, y = command_1, command_2, state.estimator.measured
+    u1, u2 = command_1, command_2
     model = output(table.estimator.channel_1, own.model.channel_1, u1)
     model += output(table.estimator.channel_2, own.model.channel_2, u2)
     if table.estimator.measurement.n > 0:
         model -= output(table.estimator.measurement, own.model.measurement, y)
-    shown[0] = (car_output(cars.car_1, own.car_1, u1, u2, y) - model) * cars.scale
-    if cars.n > 1:
-        shown[1] = (car_output(cars.car_2, own.car_2, u1, u2, y) - model) * cars.scale
-    if cars.n > 2:
-        shown[2] = (car_output(cars.car_3, own.car_3, u1, u2, y) - model) * cars.scale
-    if cars.n > 3:
-        shown[3] = (car_output(cars.car_4, own.car_4, u1, u2, y) - model) * cars.scale
+    for i in range(cars.n):
+        shown[i] = (car_output(cars.cars[i], own.cars[i], u1, u2, y) - model) * cars.scale
 
 
 @firmware
-def advance_other_cars(table: Table, state: layout.State) -> None:
+def advance_other_cars(table: Table, own: State, y: float, command_2: float) -> None:
     """Advance every car by the commands of ``show_other_cars``, or what became of command 2."""
-    cars, own, y = table.other_cars, state.other_cars, state.estimator.measured
+    cars = table.other_cars
     if table.estimator.shown_ticks_2 == 0:
-        own.command_2 = state.command_2
+        own.command_2 = command_2
     if cars.n > 0:
         advance(table.estimator.channel_1, own.model.channel_1, own.command_1)
         advance(table.estimator.channel_2, own.model.channel_2, own.command_2)
         advance(table.estimator.measurement, own.model.measurement, y)
-        advance_car(cars.car_1, own.car_1, own.command_1, own.command_2, y)
-    if cars.n > 1:
-        advance_car(cars.car_2, own.car_2, own.command_1, own.command_2, y)
-    if cars.n > 2:
-        advance_car(cars.car_3, own.car_3, own.command_1, own.command_2, y)
-    if cars.n > 3:
-        advance_car(cars.car_4, own.car_4, own.command_1, own.command_2, y)
+    for i in range(cars.n):
+        advance_car(cars.cars[i], own.cars[i], own.command_1, own.command_2, y)
 
 
 @firmware
 def settle_other_cars(
-    table: Table, state: layout.State, command_1: float, command_2: float
+    table: Table, own: State, y: float, command_1: float, command_2: float
 ) -> None:
-    """The steady state for constant commands."""
-    cars, own, y = table.other_cars, state.other_cars, state.estimator.measured
+    """The steady state for constant commands and a constant measurement."""
+    cars = table.other_cars
     settle(table.estimator.channel_1, own.model.channel_1, command_1)
     settle(table.estimator.channel_2, own.model.channel_2, command_2)
     settle(table.estimator.measurement, own.model.measurement, y)
-    settle_car(cars.car_1, own.car_1, command_1, command_2, y)
-    settle_car(cars.car_2, own.car_2, command_1, command_2, y)
-    settle_car(cars.car_3, own.car_3, command_1, command_2, y)
-    settle_car(cars.car_4, own.car_4, command_1, command_2, y)
-    show_other_cars(table, state, command_1, command_2)
+    for i in range(MAX_DIRECTIONS):
+        settle_car(cars.cars[i], own.cars[i], command_1, command_2, y)
+    show_other_cars(table, own, y, command_1, command_2)
 
 
 @firmware
-def clear_other_cars(state: layout.State) -> None:
+def clear_other_cars(own: State) -> None:
     """Every car is at rest."""
-    own = state.other_cars
     clear_car(own.model)
-    clear_car(own.car_1)
-    clear_car(own.car_2)
-    clear_car(own.car_3)
-    clear_car(own.car_4)
+    for i in range(MAX_DIRECTIONS):
+        clear_car(own.cars[i])
     own.shown[:] = 0.0
     own.command_1 = own.command_2 = 0.0
 

@@ -16,10 +16,9 @@ from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SHOWN_TICKS
 from firmware_model.law.supervision.bumpless_transfer import release
 from firmware_model.law.supervision.corroboration import settle_corroboration
 from firmware_model.law.supervision.covariance import LOSS_STATES
-from firmware_model.law.supervision.decision import CLEAR, compensated_output
+from firmware_model.law.supervision.decision import CLEAR, compensated_output, restart_test
 from firmware_model.law.supervision.echoes import KEPT_TICKS
-from firmware_model.law.supervision.likelihood_ratio import start_candidate
-from firmware_model.law.supervision.loss_model import clear_loss_model
+from firmware_model.law.supervision.loss_model import clear_loss_model, lost_command
 from firmware_model.law.supervision.mismatch import clear_mismatch
 from firmware_model.law.supervision.other_cars import clear_other_cars, show_other_cars
 from firmware_model.law.supervision.prediction import clear_prediction
@@ -28,7 +27,9 @@ from firmware_model.law.supervision.verdict import clear_hypotheses
 from firmware_model.law.supervision.witness import settle_witness
 
 if TYPE_CHECKING:
+    from firmware_model.law.core import estimator
     from firmware_model.law.layout import State, Table
+    from firmware_model.law.supervision import echoes, mismatch, witness
 
 
 @firmware
@@ -47,8 +48,8 @@ def clear_memories(table: Table, state: State) -> None:
     clear_mismatch(table.mismatch, state.mismatch)
     if not math.isfinite(sum_of_models(table, state)):
         clear_models(state)
-    start_candidate(table, state)
-    clear_hypotheses(state)
+    restart_test(table, state)
+    clear_hypotheses(state.hypotheses)
     settle_witness(state.witness, real(0.0, state.command_1))
     settle_corroboration(state.corroboration)
     clear_prediction(state.prediction)
@@ -56,19 +57,19 @@ def clear_memories(table: Table, state: State) -> None:
 
 
 @firmware
-def is_damaged(state: State) -> bool:
+def is_damaged(
+    own: estimator.State, heard: echoes.State, seen: witness.State, known: mismatch.State
+) -> bool:
     """Whether an index lies outside its array: no tick leaves it so, but a flipped bit does."""
-    own = state.estimator
     late = outside(own.delay_index, MAX_LATENCY_TICKS)
     dead_1 = outside(own.dead_index_1, MAX_LATENCY_TICKS)
     dead_2 = outside(own.dead_index_2, MAX_LATENCY_TICKS)
     shown_1 = outside(own.shown_index_1, MAX_SHOWN_TICKS)
     shown_2 = outside(own.shown_index_2, MAX_SHOWN_TICKS)
-    echoes = outside(state.echoes.index, KEPT_TICKS)
-    witness = outside(state.witness.index, KEPT_TICKS)
-    covariance = outside(state.mismatch.covariance.first, LOSS_STATES + 1)
+    samples = outside(heard.index, KEPT_TICKS) or outside(seen.index, KEPT_TICKS)
+    covariance = outside(known.covariance.first, LOSS_STATES + 1)
     rings: bool = late or dead_1 or dead_2 or shown_1 or shown_2
-    return rings or echoes or witness or covariance
+    return rings or samples or covariance
 
 
 @firmware
@@ -80,7 +81,7 @@ def outside(index: int, size: int) -> bool:
 @firmware
 def repair(table: Table, state: State) -> None:
     """A damaged state trusts nothing but its commands, as if they had stood for long."""
-    if not is_damaged(state):
+    if not is_damaged(state.estimator, state.echoes, state.witness, state.mismatch):
         return
     one, two = state.command_1, state.command_2
     settle_estimator(table.estimator, state.estimator, one, two, real(0.0, one))
@@ -95,14 +96,16 @@ def sum_of_models(table: Table, state: State) -> float:
     """Sum of all memories of the commands: not finite if one memory is lost."""
     zero = real(0.0, state.command_1)
     model_1, model_2 = model_output(table.estimator, state.estimator, zero, zero)
-    known = model_1 + model_2 + compensated_output(table, state) + missing_output(table, state)
-    show_other_cars(table, state, zero, zero)
+    lost = lost_command(state.fault_state, state.command_1)
+    known = model_1 + model_2 + compensated_output(table, state.loss_model, state.echoes, lost)
+    known += missing_output(table.estimator, state.tracking, state.estimator, state.shortfall_2)
+    show_other_cars(table, state.other_cars, state.estimator.measured, zero, zero)
     for i in range(table.other_cars.n):
         known += state.other_cars.shown[i]
     force = output(table.compensator.filter, state.compensator.filter, zero)
-    estimator, lost_1, lost_2 = table.estimator, state.shortfall_1, state.shortfall_2
-    force += make_up(table.shortfall_1, estimator.channel_1, table.actuator_1, lost_1)
-    force += make_up(table.shortfall_2, estimator.channel_2, table.actuator_2, lost_2)
+    constants, lost_1, lost_2 = table.estimator, state.shortfall_1, state.shortfall_2
+    force += make_up(table.shortfall_1, constants.channel_1, table.actuator_1, lost_1)
+    force += make_up(table.shortfall_2, constants.channel_2, table.actuator_2, lost_2)
     total: float = known + force + state.reference_shaper.shaped
     return total
 
@@ -117,8 +120,8 @@ def clear_models(state: State) -> None:
     state.actuator_1.rounded_off = state.actuator_2.rounded_off = 0.0
     state.compensator.filter.accumulators[:] = 0.0
     clear_estimator(state.estimator)
-    clear_loss_model(state)
-    clear_other_cars(state)
+    clear_loss_model(state.loss_model)
+    clear_other_cars(state.other_cars)
     release(state.bumpless_transfer)
     state.takeover.pending = UNKNOWN
     state.fault_state = CLEAR

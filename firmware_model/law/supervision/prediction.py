@@ -21,7 +21,7 @@ from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
+    from firmware_model.law.core import biquad
     from firmware_model.law.layout import Table
 
 
@@ -44,9 +44,9 @@ class State(Struct):
 
 
 @firmware
-def predicted(table: Table, state: layout.State, shown: float) -> float:
-    """Return y, where the model and the known loss expect M y = ``shown``."""
-    cascade, own = table.estimator.measurement, state.estimator.measurement
+def predicted(table: Table, own: biquad.State, shown: float) -> float:
+    """Return y, where the model and the known loss expect M y = ``shown``; ``own``: of M."""
+    cascade = table.estimator.measurement
     if cascade.n == 0:
         return shown
     rest = output(cascade, own, real(0.0, shown))

@@ -15,17 +15,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.core.actuator import command_possible
 from firmware_model.law.precision import real
-from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import Struct
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
     from firmware_model.law.layout import Table
-
-
-BOTH_LOST, CONFIRMED = int(Verdict.BOTH_LOST), int(FaultState.CONFIRMED)
+    from firmware_model.law.supervision import prediction
 
 
 class Constants(Struct):
@@ -42,39 +37,41 @@ class State(Struct):
 
 
 @firmware
-def both_lost(table: Table, state: layout.State) -> bool:
-    """Whether both actuators are lost for certain, and the table asks for a stop."""
-    begun = state.safe_stop.elapsed > 0.0
-    told = state.fault_state == CONFIRMED or state.hypotheses.verdict == BOTH_LOST
-    certain = told and state.monitor.powerless >= table.safe_stop.certain
+def both_lost(table: Table, own: State, told: bool, powerless: float) -> bool:
+    """Whether both actuators are lost for certain, and the table asks for a stop.
+
+    Args:
+        table: the constant table.
+        own: state of this module.
+        told: whether the decision tells a loss of the torque, or of both.
+        powerless: ticks for which large commands have not moved the car, by the monitor.
+    """
+    begun = own.elapsed > 0.0
+    certain = told and powerless >= table.safe_stop.certain
     lost: bool = table.safe_stop.duration > 0.0 and (begun or certain)
     return lost
 
 
 @firmware
-def stops(table: Table, state: layout.State, complete: bool) -> bool:
-    """Whether the commands have to go; ``complete``: a tick with both inputs."""
-    blind: bool = not complete and state.prediction.elapsed >= table.prediction.longest
-    return blind or both_lost(table, state)
+def is_blind(table: Table, own: prediction.State, complete: bool) -> bool:
+    """Whether an input is missing for too long; ``complete``: a tick with both inputs."""
+    blind: bool = not complete and own.elapsed >= table.prediction.longest
+    return blind
 
 
 @firmware
-def take_commands_back(table: Table, state: layout.State) -> None:
-    """A tick nearer to zero."""
-    own, one, longest = state.safe_stop, real(1.0, state.command_1), table.prediction.longest
-    left = longest - (state.prediction.elapsed - longest)
-    if both_lost(table, state):
-        state.hypotheses.verdict = BOTH_LOST
+def ticks_left(table: Table, own: State, blind_for: float, lost: bool) -> float:
+    """The ticks left on the way to zero.
+
+    Args:
+        table: the constant table.
+        own: changed in place: a tick on, where both are lost.
+        blind_for: ticks without an input.
+        lost: whether both actuators are lost.
+    """
+    longest: float = table.prediction.longest
+    left = longest - (blind_for - longest)
+    if lost:
         left = table.safe_stop.duration - own.elapsed
-        own.elapsed += one
-    nearer_to_zero(table, state, left)
-
-
-@firmware
-def nearer_to_zero(table: Table, state: layout.State, left: float) -> None:
-    """A tick on the straight line to zero, of which so many ticks are ``left``."""
-    one = real(1.0, state.command_1)
-    share = real(0.0, one)
-    if left > one:
-        share = (left - one) / left
-    command_possible(table, state, share * state.command_1, share * state.command_2)
+        own.elapsed += real(1.0, left)
+    return left

@@ -17,9 +17,8 @@ from firmware_model.law.structs import Struct
 from firmware_model.law.supervision.whitener import add_signal
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
     from firmware_model.law.layout import Table
-    from firmware_model.law.supervision import signatures
+    from firmware_model.law.supervision import mismatch, signatures
 
 
 class State(Struct):
@@ -30,44 +29,43 @@ class State(Struct):
 
 
 @firmware
-def sensor_error_shown(table: Table, state: layout.State) -> float:
+def sensor_error_shown(table: Table, own: State) -> float:
     """The part of G1 u1 + G2 u2 missing in d̂ of this tick: M times the offset."""
-    own = state.hypotheses.sensor_error
     shown: float = output(table.estimator.measurement, own.answer, own.offset)
     return shown
 
 
 @firmware
-def advance_sensor_error(table: Table, state: layout.State) -> None:
+def advance_sensor_error(table: Table, own: State) -> None:
     """A tick on."""
-    own = state.hypotheses.sensor_error
     advance(table.estimator.measurement, own.answer, own.offset)
 
 
 @firmware
 def learn_sensor_error(
-    table: Table, state: layout.State, found: signatures.One, input_now: float
+    table: Table, own: State, known: mismatch.State, found: signatures.One, input_now: float
 ) -> bool:
     """Add a found sensor error; θ forgets the error's influence.
 
     Args:
         table: the constant table.
-        state: of the controller; changed in place.
+        own: changed in place.
+        known: of the car; changed in place.
         found: the hypothesis; its size has the unit of the signature.
         input_now: input of the signature before M: -1 for a bias.
 
     Returns:
         Whether the earlier error is gone: less than half is left.
     """
-    own, size = state.hypotheses.sensor_error, found.candidate.size_now
-    half, before = real(0.5, size), own.offset
+    size, before = found.candidate.size_now, own.offset
+    half = real(0.5, size)
     for i in range(table.mismatch.n):
-        state.mismatch.theta[i] -= size * found.candidate.explained[i]
+        known.theta[i] -= size * found.candidate.explained[i]
     own.offset = before - size * input_now
     for i in range(table.estimator.measurement.n):
         for j in range(2):
             own.answer.accumulators[i, j] -= size * found.answer.accumulators[i, j]
-    white = state.mismatch.white.sensor_error
+    white = known.white.sensor_error
     add_signal(table.mismatch.whitener, white, -size, found.candidate.white)
     gone: bool = abs(own.offset) < half * abs(before)
     if gone:

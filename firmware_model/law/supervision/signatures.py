@@ -7,6 +7,9 @@ M multiplies y, bias and drift.
 
 A new bias or drift would show in the present d̂: if the present tick alone explains more than all
 ticks since the old onset, the onset moves to the present tick.
+
+A hypothesis is a row of the table: its fault, the filter that answers to its input, and the limits
+of its size.
 """
 
 from __future__ import annotations
@@ -14,57 +17,57 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
-from firmware_model.law.core import biquad
+from firmware_model.law.core import biquad, estimator
 from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.precision import real
 from firmware_model.law.status import Verdict
-from firmware_model.law.structs import Struct
-from firmware_model.law.supervision.candidate import (
-    Constants as CandidateConstants,
-    Limits as CandidateLimits,
-    State as CandidateState,
-    count_anew,
-    has_failed,
-    start,
-    take_in,
-)
-from firmware_model.law.supervision.echoes import Actuator, Echo, missing_command
+from firmware_model.law.structs import Records, Struct
+from firmware_model.law.supervision import candidate, echoes, mismatch
+from firmware_model.law.supervision.candidate import count_anew, has_failed, start, take_in
+from firmware_model.law.supervision.echoes import missing_command
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
     from firmware_model.law.layout import Table
 
 
-FORCE_LOST = int(Verdict.FORCE_LOST)
+FORCE_LOST, ANOTHER_CAR = int(Verdict.FORCE_LOST), int(Verdict.ANOTHER_CAR)
+OFFSET_ROW, FORCE_ROW, BIAS_ROW, DRIFT_ROW, TORQUE_ECHO_ROW, FORCE_ECHO_ROW = 0, 1, 2, 3, 4, 5
+ROWS = 6
+THROUGH_G1, THROUGH_G2, THROUGH_M = 0, 1, 2
+MINUS_ONE, RAMP, COMMAND_2, MISSING_1, MISSING_2 = 0, 1, 2, 3, 4
+"""Inputs of a row: as of this tick, ticks since the onset, command 2, what an echo misses."""
+
+
+class Row(Struct):
+    """Constants of one hypothesis."""
+
+    fault: Annotated[int, "1", "its Verdict", (1, ANOTHER_CAR)]
+    through: Annotated[int, "1", "what answers to its input: 0: G1, 1: G2, 2: M", (0, 2)]
+    input: Annotated[
+        int, "1", "0: -1, 1: a ramp, 2: command 2, 3 and 4: the missing command 1 or 2", (0, 4)
+    ]
+    limits: Annotated[candidate.Limits, "1", "limits of its size"]
 
 
 class Constants(Struct):
     """Constants."""
 
-    candidate: Annotated[CandidateConstants, "1", "thresholds of a restart"]
-    torque_offset: Annotated[CandidateLimits, "u1", "limits of its size"]
-    force_lost: Annotated[CandidateLimits, "1", "limits of the lost share"]
-    sensor_biased: Annotated[CandidateLimits, "y", "limits of its size"]
-    sensor_drifting: Annotated[CandidateLimits, "y/tick", "limits of its size"]
+    candidate: Annotated[candidate.Constants, "1", "thresholds of a restart"]
+    rows: Annotated[Records[Row], "1", "the hypotheses", (ROWS,)]
 
 
 class One(Struct):
     """The test of one signature."""
 
-    candidate: Annotated[CandidateState, "1", "fit of the signature to d̂"]
+    candidate: Annotated[candidate.State, "1", "fit of the signature to d̂"]
     answer: Annotated[biquad.State, "y", "state of the signature's filter: G1, G2 or M"]
+    ramp: Annotated[float, "tick", "minus the ticks since the onset, as of this tick"]
 
 
 class State(Struct):
     """State."""
 
-    torque_offset: Annotated[One, "u1", "an offset of the torque"]
-    force_lost: Annotated[One, "1", "loss of channel 2"]
-    sensor_biased: Annotated[One, "y", "a bias of the sensor"]
-    sensor_drifting: Annotated[One, "y/tick", "a drift of the sensor"]
-    torque_echo: Annotated[One, "1", "the error of the echo of actuator 1"]
-    force_echo: Annotated[One, "1", "the error of the echo of actuator 2"]
-    ramp: Annotated[float, "tick", "the drift of 1/tick as of this tick"]
+    rows: Annotated[Records[One], "1", "the test of each hypothesis", (ROWS,)]
     commanded: Annotated[float, "y²", "Σ (commanded effect of channel 2 on y)²"]
     missing: Annotated[float, "y²", "Σ commanded effect · missing effect in y"]
     before: Annotated[
@@ -75,74 +78,132 @@ class State(Struct):
 
 
 @firmware
-def weigh_signatures(table: Table, state: layout.State, innovation: float) -> None:
-    """Update all candidates with the innovation; restart rejected candidates."""
-    constants, own = table.hypotheses.signatures, state.hypotheses.signatures
-    g1, g2, m = table.estimator.channel_1, table.estimator.channel_2, table.estimator.measurement
-    one = real(1.0, innovation)
-    offset, force = own.torque_offset, own.force_lost
-    shown = output(g1, offset.answer, -one)
-    take_in(table, state, offset.candidate, constants.torque_offset, shown, innovation)
-    if has_failed(constants.candidate, offset.candidate):
-        begin(offset)
-    shown = output(g2, force.answer, state.other_cars.command_2)
-    take_in(table, state, force.candidate, constants.force_lost, shown, innovation)
-    own.commanded += shown * shown
-    own.missing += shown * state.mismatch.previous_residual
-    known, limit = state.hypotheses.verdict == FORCE_LOST, -table.decision.suspect
-    works = known and not force.candidate.foretold > limit
-    own.obeyed = 0
-    if works:
-        own.obeyed = 1
-    if works or (not known and has_failed(constants.candidate, force.candidate)):
-        begin(force)
-        own.commanded = own.missing = own.before = 0.0
-    if not state.sequential_test.age > real(0.0, one):  # the candidate for channel 1 begins again
-        own.before = force.candidate.evidence
-    echoes, told = state.echoes, table.echoes
-    weigh_echo(table, state, own.torque_echo, g1, told.actuator_1, echoes.channel_1, innovation)
-    weigh_echo(table, state, own.force_echo, g2, told.actuator_2, echoes.channel_2, innovation)
-    half = real(0.5, innovation)
-    fresh = half * innovation * innovation / state.mismatch.variance
-    bias, drift = own.sensor_biased, own.sensor_drifting
-    shown = output(m, bias.answer, -one)
-    take_in(table, state, bias.candidate, constants.sensor_biased, shown, innovation)
-    if fresh > bias.candidate.evidence or has_failed(constants.candidate, bias.candidate):
-        begin(bias)
-        shown = output(m, bias.answer, -one)
-        take_in(table, state, bias.candidate, constants.sensor_biased, shown, innovation)
-    if bias.candidate.age == one:  # begun now, or by a verdict in the tick before
-        own.jump = bias.candidate.evidence
-    shown = output(m, drift.answer, own.ramp)
-    take_in(table, state, drift.candidate, constants.sensor_drifting, shown, innovation)
-    if fresh > drift.candidate.evidence or has_failed(constants.candidate, drift.candidate):
-        begin(drift)
-        own.ramp = -one
-        shown = output(m, drift.answer, own.ramp)
-        take_in(table, state, drift.candidate, constants.sensor_drifting, shown, innovation)
+def weigh_signatures(
+    table: Table,
+    own: State,
+    known: mismatch.State,
+    heard: echoes.State,
+    command_2: float,
+    verdict: int,
+    innovation: float,
+) -> None:
+    """Update all candidates with the innovation; restart rejected candidates.
+
+    Args:
+        table: the constant table.
+        own: changed in place.
+        known: of the car, of this tick.
+        heard: what the actuators report.
+        command_2: command 2 in the measurement of this tick.
+        verdict: of the tick before.
+        innovation: ν.
+    """
+    constants, half = table.hypotheses.signatures, real(0.5, innovation)
+    fresh = half * innovation * innovation / known.variance
+    for i in range(ROWS):
+        row, one = constants.rows[i], own.rows[i]
+        if not is_informed(row, heard):
+            if one.candidate.age > 0.0:
+                begin(one)
+            continue
+        shown = weigh(table, row, one, known, heard, command_2, innovation)
+        rejected = has_failed(constants.candidate, one.candidate)
+        if i == FORCE_ROW:
+            add_missing(own, shown, known.previous_residual)
+            rejected = is_over(own, verdict, rejected, -table.decision.suspect)
+        if row.through == THROUGH_M:
+            rejected = rejected or fresh > one.candidate.evidence
+        if rejected:
+            begin(one)
+        if rejected and row.through == THROUGH_M:
+            one.ramp = real(-1.0, innovation)
+            weigh(table, row, one, known, heard, command_2, innovation)
+    bias = own.rows[BIAS_ROW].candidate
+    if bias.age == 1.0:  # begun now, or by a verdict in the tick before
+        own.jump = bias.evidence
 
 
 @firmware
-def weigh_echo(
+def keep_before(own: State, test_age: float) -> None:
+    """Note the evidence of a lost channel 2 where the candidate for channel 1 begins again."""
+    if not test_age > 0.0:
+        own.before = own.rows[FORCE_ROW].candidate.evidence
+
+
+@firmware
+def add_missing(own: State, shown: float, residual: float) -> None:
+    """Take in how y follows channel 2."""
+    own.commanded += shown * shown
+    own.missing += shown * residual
+
+
+@firmware
+def is_over(own: State, verdict: int, rejected: bool, limit: float) -> bool:
+    """Whether the onset of a lost channel 2 is over: ``rejected``, or the known loss has ended."""
+    known = verdict == FORCE_LOST
+    works = known and not own.rows[FORCE_ROW].candidate.foretold > limit
+    own.obeyed = 1 if works else 0
+    over = works or (not known and rejected)
+    if over:
+        own.commanded = own.missing = own.before = 0.0
+    return over
+
+
+@firmware
+def is_informed(row: Row, heard: echoes.State) -> bool:
+    """Whether the input of a row is known: an echo that stays away gives none."""
+    if row.input == MISSING_1:
+        return heard.channel_1.left > 0
+    return row.input != MISSING_2 or heard.channel_2.left > 0
+
+
+@firmware
+def input_of(
+    row: Row, own: One, constants: echoes.Constants, heard: echoes.State, command_2: float
+) -> float:
+    """What a fault of size 1 puts into the filter of its row in this tick."""
+    put: float = real(-1.0, command_2)
+    if row.input == RAMP:
+        put = own.ramp
+    elif row.input == COMMAND_2:
+        put = command_2
+    elif row.input == MISSING_1:
+        put = missing_command(constants.actuator_1, heard.channel_1)
+    elif row.input == MISSING_2:
+        put = missing_command(constants.actuator_2, heard.channel_2)
+    return put
+
+
+@firmware
+def answer_of(constants: estimator.Constants, row: Row, own: One, put: float) -> float:
+    """The answer of the row's filter to ``put``."""
+    if row.through == THROUGH_G1:
+        return output(constants.channel_1, own.answer, put)
+    if row.through == THROUGH_G2:
+        return output(constants.channel_2, own.answer, put)
+    return output(constants.measurement, own.answer, put)
+
+
+@firmware
+def weigh(
     table: Table,
-    state: layout.State,
+    row: Row,
     own: One,
-    channel: biquad.Constants,
-    actuator: Actuator,
-    echo: Echo,
+    known: mismatch.State,
+    heard: echoes.State,
+    command_2: float,
     innovation: float,
-) -> None:
-    """Weigh the missing output that ``echo`` reports; without an echo no evidence stays."""
-    if echo.left > 0:
-        shown = output(channel, own.answer, missing_command(actuator, echo))
-        if echo.believed == 1:
-            take_in(table, state, own.candidate, table.echoes.wrong, shown, innovation)
-        else:
-            take_in(table, state, own.candidate, table.echoes.share, shown, innovation)
-        if has_failed(table.hypotheses.signatures.candidate, own.candidate):
-            begin(own)
-    elif own.candidate.age > 0.0:
-        begin(own)
+) -> float:
+    """Take in a tick and return the signature in d̂; a believed echo is wrong by minus that."""
+    put = input_of(row, own, table.echoes, heard, command_2)
+    shown = answer_of(table.estimator, row, own, put)
+    limits = row.limits
+    if row.input == MISSING_1 and heard.channel_1.believed == 1:
+        limits = table.echoes.wrong
+    if row.input == MISSING_2 and heard.channel_2.believed == 1:
+        limits = table.echoes.wrong
+    take_in(table.mismatch, known, own.candidate, limits, shown, innovation)
+    return shown
 
 
 @firmware
@@ -150,51 +211,54 @@ def begin(hypothesis: One) -> None:
     """Its onset is now."""
     start(hypothesis.candidate)
     hypothesis.answer.accumulators[:] = 0.0
+    hypothesis.ramp = 0.0
 
 
 @firmware
-def begin_all(state: State) -> None:
+def begin_all(own: State) -> None:
     """The onset of each is now."""
-    begin(state.force_lost)
-    begin_others(state)
+    begin(own.rows[FORCE_ROW])
+    begin_others(own)
 
 
 @firmware
-def begin_others(state: State) -> None:
+def begin_others(own: State) -> None:
     """The onset of each but a lost force difference is now; of that fault the evidence is used."""
-    count_anew(state.force_lost.candidate)
-    begin(state.torque_offset)
-    begin(state.torque_echo)
-    begin(state.force_echo)
-    begin(state.sensor_biased)
-    begin(state.sensor_drifting)
-    state.ramp = state.jump = state.commanded = state.missing = state.before = 0.0
+    for i in range(ROWS):
+        if i == FORCE_ROW:
+            count_anew(own.rows[i].candidate)
+        else:
+            begin(own.rows[i])
+    own.jump = own.commanded = own.missing = own.before = 0.0
 
 
 @firmware
-def answers_no_more(state: State) -> bool:
+def answers_no_more(own: State) -> bool:
     """Whether y follows less than half of channel 2's commands since the onset of its loss.
 
     The test uses d̂ directly: neither another car nor a small sensor error explains so large a d̂.
     """
-    gone: bool = state.missing > real(0.5, state.missing) * state.commanded
+    gone: bool = own.missing > real(0.5, own.missing) * own.commanded
     return gone
 
 
 @firmware
-def advance_signatures(table: Table, state: layout.State) -> None:
-    """A tick on; ``other_cars`` has the command 2 of it."""
-    own, estimator = state.hypotheses.signatures, table.estimator
-    one = real(1.0, own.ramp)
-    advance(estimator.channel_1, own.torque_offset.answer, -one)
-    advance(estimator.channel_2, own.force_lost.answer, state.other_cars.command_2)
-    echoes = state.echoes
-    if echoes.channel_1.left > 0:
-        missing = missing_command(table.echoes.actuator_1, echoes.channel_1)
-        advance(estimator.channel_1, own.torque_echo.answer, missing)
-    if echoes.channel_2.left > 0:
-        missing = missing_command(table.echoes.actuator_2, echoes.channel_2)
-        advance(estimator.channel_2, own.force_echo.answer, missing)
-    advance(estimator.measurement, own.sensor_biased.answer, -one)
-    advance(estimator.measurement, own.sensor_drifting.answer, own.ramp)
-    own.ramp -= one
+def advance_signatures(table: Table, own: State, heard: echoes.State, command_2: float) -> None:
+    """A tick on, of which ``command_2`` is in the measurement."""
+    for i in range(ROWS):
+        row, one = table.hypotheses.signatures.rows[i], own.rows[i]
+        if is_informed(row, heard):
+            put = input_of(row, one, table.echoes, heard, command_2)
+            advance_answer(table.estimator, row, one, put)
+        one.ramp -= real(1.0, command_2)
+
+
+@firmware
+def advance_answer(constants: estimator.Constants, row: Row, own: One, put: float) -> None:
+    """Advance the row's filter by ``put``."""
+    if row.through == THROUGH_G1:
+        advance(constants.channel_1, own.answer, put)
+    elif row.through == THROUGH_G2:
+        advance(constants.channel_2, own.answer, put)
+    else:
+        advance(constants.measurement, own.answer, put)

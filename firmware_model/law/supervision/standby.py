@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
-from firmware_model.law.supervision.safe_stop import nearer_to_zero
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
     from firmware_model.law.layout import Table
+
+BAND = 0.95  # a car at the lowest speed does not alternate between standby and run
 
 
 class State(Struct):
@@ -35,8 +35,18 @@ def stands_by(table: Table, own: State, complete: bool) -> bool:
 
 
 @firmware
-def take_commands_down(table: Table, state: layout.State) -> None:
-    """A tick in standby: both commands are nearer to zero."""
-    own = state.standby
-    nearer_to_zero(table, state, table.prediction.longest - own.elapsed)
-    own.elapsed += real(1.0, own.elapsed)
+def ticks_left_in_standby(table: Table, own: State) -> float:
+    """The ticks left on the way to zero, of a tick in standby."""
+    left: float = table.prediction.longest - own.elapsed
+    own.elapsed += real(1.0, left)
+    return left
+
+
+@firmware
+def note_speed(own: State, speed: float, lowest: float) -> None:
+    """Find out whether a car of this ``speed`` is slower than the ``lowest`` design, m/s."""
+    enters = real(BAND, lowest) * lowest
+    if speed < enters or (own.slow > 0 and speed < lowest):
+        own.slow = 1
+    else:
+        own.slow = 0

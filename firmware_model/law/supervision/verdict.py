@@ -23,35 +23,46 @@ from firmware_model.law.core.biquad import output
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray, Struct
-from firmware_model.law.supervision import candidate, signatures
+from firmware_model.law.supervision import (
+    candidate,
+    echoes,
+    likelihood_ratio,
+    mismatch,
+    signatures,
+    witness,
+)
 from firmware_model.law.supervision.candidate import likeliest
-from firmware_model.law.supervision.corroboration import sensor_waits, torque_waits
+from firmware_model.law.supervision.corroboration import sensor_waits
 from firmware_model.law.supervision.covariance import LOSS_STATES, variance_of
 from firmware_model.law.supervision.echoes import Echo, believe, missing_command, says_lost, works
 from firmware_model.law.supervision.frozen import (
     Constants as FrozenConstants,
     State as FrozenState,
     thaw,
-    weigh_frozen,
 )
-from firmware_model.law.supervision.loss_model import known_share
 from firmware_model.law.supervision.sensor_error import (
     State as SensorErrorState,
     clear_sensor_error,
     learn_sensor_error,
 )
 from firmware_model.law.supervision.signatures import (
+    BIAS_ROW,
+    DRIFT_ROW,
+    FORCE_ECHO_ROW,
+    FORCE_ROW,
+    OFFSET_ROW,
+    ROWS,
+    TORQUE_ECHO_ROW,
     Constants as SignaturesConstants,
     State as SignaturesState,
     answers_no_more,
     begin_all,
     begin_others,
-    weigh_signatures,
+    is_informed,
 )
 from firmware_model.law.supervision.witness import acquits, contradicts, unsure
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
     from firmware_model.law.layout import Table
 
 
@@ -95,138 +106,140 @@ class State(Struct):
 
 
 @firmware
-def weigh_hypotheses(table: Table, state: layout.State, innovation: float, expected: float) -> None:
-    """Compute the evidence and the verdict of this tick.
-
-    Args:
-        table: the constant table.
-        state: changed in place; ``mismatch`` and ``sequential_test`` already updated in this tick.
-        innovation: innovation of d̂.
-        expected: y by the model.
-    """
-    weigh_signatures(table, state, innovation)
-    weigh_frozen(table, state, innovation, expected)
-    own = state.hypotheses
-    own.evidence[TORQUE_LOST] = torque_evidence(table, state)
-    weighed = own.signatures
-    own.evidence[TORQUE_OFFSET] = weighed.torque_offset.candidate.evidence
-    own.evidence[FORCE_LOST] = weighed.force_lost.candidate.evidence
-    if state.echoes.channel_1.left > 0:
-        own.evidence[TORQUE_OFFSET] = weighed.torque_echo.candidate.evidence
-    if state.echoes.channel_2.left > 0:
-        own.evidence[FORCE_LOST] = weighed.force_echo.candidate.evidence
-    own.evidence[SENSOR_WRONG] = own.signatures.sensor_biased.candidate.evidence
-    own.evidence[SENSOR_DRIFTING] = own.signatures.sensor_drifting.candidate.evidence
+def take_evidence(
+    table: Table, own: State, known: mismatch.State, heard: echoes.State, torque: float
+) -> None:
+    """Note the evidence of each hypothesis in this tick; ``torque`` is that of a lost torque."""
+    own.evidence[TORQUE_LOST] = torque
+    for i in range(ROWS):
+        row = table.hypotheses.signatures.rows[i]
+        if is_informed(row, heard):
+            own.evidence[row.fault] = own.signatures.rows[i].candidate.evidence
     own.evidence[SENSOR_FROZEN] = own.frozen.evidence
-    own.evidence[ANOTHER_CAR] = other_car_evidence(table, state)
-    judge(table, state)
+    own.evidence[ANOTHER_CAR] = other_car_evidence(table, known)
 
 
 @firmware
-def torque_evidence(table: Table, state: layout.State) -> float:
-    """The evidence of a lost torque: from the test, or from the share after confirmation."""
-    limits, test = table.hypotheses.torque_lost, state.sequential_test
-    half = real(0.5, test.evidence)
-    if state.fault_state == CONFIRMED:
-        share = known_share(state)
-        return half * share * share / variance_of(state.mismatch.covariance, 0)
-    share = likeliest(test.correlation, test.information, limits)
-    evidence: float = share * (test.correlation - half * share * test.information)
+def torque_evidence(
+    table: Table, known: mismatch.State, test: likelihood_ratio.State, lost: bool, share: float
+) -> float:
+    """The evidence of a lost torque: from the test, or where ``lost`` from the known share."""
+    limits, half = table.hypotheses.torque_lost, real(0.5, share)
+    if lost:
+        return half * share * share / variance_of(known.covariance, 0)
+    likely = likeliest(test.correlation, test.information, limits)
+    evidence: float = likely * (test.correlation - half * likely * test.information)
     return evidence
 
 
 @firmware
-def other_car_evidence(table: Table, state: layout.State) -> float:
+def other_car_evidence(table: Table, known: mismatch.State) -> float:
     """The evidence of the direction with the clearest difference between car and model."""
-    mismatch, half = state.mismatch, real(0.5, state.command_1)
+    half = real(0.5, known.variance)
     most = real(0.0, half)
     for i in range(LOSS_STATES, LOSS_STATES + table.other_cars.n):
-        theta = mismatch.theta[i]
-        most = max(most, half * theta * theta / variance_of(mismatch.covariance, i))
+        theta = known.theta[i]
+        most = max(most, half * theta * theta / variance_of(known.covariance, i))
     return most
 
 
 @firmware
-def judge(table: Table, state: layout.State) -> None:
-    """The verdict of this tick."""
-    own, evidence, confirm = state.hypotheses, state.hypotheses.evidence, table.decision.confirm
-    lost, was = state.fault_state == CONFIRMED, own.verdict
+def judge(
+    table: Table,
+    own: State,
+    known: mismatch.State,
+    heard: echoes.State,
+    seen: witness.State,
+    waits: bool,
+    lost: bool,
+    returned: float,
+) -> None:
+    """The verdict of this tick.
+
+    Args:
+        table: the constant table.
+        own: with the evidence of this tick; changed in place.
+        known: of the car; forgets what a found fault has taught.
+        heard: what the actuators report; a reported fault is believed.
+        seen: what the witness says.
+        waits: whether a loss of the torque waits for its direct witness.
+        lost: whether a loss of the torque is confirmed.
+        returned: the evidence of its end.
+    """
+    evidence, confirm, was = own.evidence, table.decision.confirm, own.verdict
     own.found = NOTHING
-    own.verdict = standing(table, state)
+    own.verdict = standing(table, own, heard, lost)
     if own.verdict == NOTHING:
         own.found_size = 0.0
     torque = strongest(evidence, TORQUE_LOST, FORCE_LOST)
     if lost:  # what is tested is its end
-        torque = max(state.sequential_test.evidence, evidence[TORQUE_OFFSET])
-    excused = is_excused(table, state)
-    force, sensor = evidence[FORCE_LOST], of_sensor(table, state, excused)
-    apart, world = contradicts(table.witness, state.witness), of_world(table, state, excused)
+        torque = max(returned, evidence[TORQUE_OFFSET])
+    excused = is_excused(table, own.signatures, seen)
+    force, sensor = evidence[FORCE_LOST], of_sensor(table, evidence, seen, excused)
+    apart, world = contradicts(table.witness, seen), of_world(evidence, waits, excused)
     actuators = max(torque, force)
     most = max(actuators, sensor)
     second = max(min(torque, force), min(actuators, sensor))
+    torque_echo = own.signatures.rows[TORQUE_ECHO_ROW]
+    force_echo = own.signatures.rows[FORCE_ECHO_ROW]
     if lost:
         ahead = force - max(torque, sensor) > table.hypotheses.both_lost
         if ahead and answers_no_more(own.signatures):
             own.verdict = BOTH_LOST
-    elif is_reported(own.signatures.force_echo, confirm, most):
-        row, echo = own.signatures.force_echo, state.echoes.channel_2
-        find_by_echo(table, state, row, echo, FORCE_LOST)
-    elif is_reported(own.signatures.torque_echo, confirm, most) and not says_lost(
-        table.echoes.actuator_1, state.echoes.channel_1
+    elif is_reported(force_echo, confirm, most):
+        find_by_echo(table, own, known, force_echo, heard.channel_2, FORCE_LOST)
+    elif is_reported(torque_echo, confirm, most) and not says_lost(
+        table.echoes.actuator_1, heard.channel_1
     ):
-        find_by_echo(
-            table, state, own.signatures.torque_echo, state.echoes.channel_1, TORQUE_OFFSET
-        )
+        find_by_echo(table, own, known, torque_echo, heard.channel_1, TORQUE_OFFSET)
     elif world > confirm and world >= most and not apart:
         own.verdict = ANOTHER_CAR if own.verdict == NOTHING else own.verdict
-    elif most > confirm and is_clear(table, state, most, second) and not apart:
-        find(table, state, likeliest_fault(evidence, most))
+    elif most > confirm and is_clear(table, own, most, second) and not apart:
+        find(table, own, known, likeliest_fault(evidence, most))
     elif own.verdict == NOTHING and most > confirm:
         own.verdict = CANNOT_BE_TOLD
     elif own.verdict == NOTHING:
         enough = table.decision.suspect if was == ANOTHER_CAR else confirm
         own.verdict = ANOTHER_CAR if evidence[ANOTHER_CAR] > enough else NOTHING
-    own.verdict = with_echoes(table, state, own.verdict)
+    own.verdict = with_echoes(table, heard, lost, own.verdict)
 
 
 @firmware
-def of_sensor(table: Table, state: layout.State, excused: bool) -> float:
+def of_sensor(table: Table, evidence: FloatArray, seen: witness.State, excused: bool) -> float:
     """The most evidence of a fault of the sensor that the witness does not deny."""
-    own, none = state.hypotheses, real(0.0, state.command_1)
-    most = strongest(own.evidence, SENSOR_WRONG, ANOTHER_CAR)
+    most = strongest(evidence, SENSOR_WRONG, ANOTHER_CAR)
     if excused:
-        most = own.evidence[SENSOR_FROZEN]
-    if acquits(table.witness, state.witness):
-        most = none
+        most = evidence[SENSOR_FROZEN]
+    if acquits(table.witness, seen):
+        most = real(0.0, most)
     return most
 
 
 @firmware
-def is_excused(table: Table, state: layout.State) -> bool:
+def is_excused(table: Table, own: signatures.State, seen: witness.State) -> bool:
     """Whether the witness denies a bias or drift of the sensor: neither wind nor road jumps."""
-    own = state.hypotheses.signatures
-    since = state.witness.unbroken
-    jumps = own.jump >= table.hypotheses.jump and since < own.sensor_biased.candidate.age
-    excused: bool = not jumps and sensor_waits(table, state)
+    since = seen.unbroken
+    jumps = own.jump >= table.hypotheses.jump and since < own.rows[BIAS_ROW].candidate.age
+    excused: bool = not jumps and sensor_waits(table, seen)
     return excused
 
 
 @firmware
-def of_world(table: Table, state: layout.State, excused: bool) -> float:
+def of_world(evidence: FloatArray, waits: bool, excused: bool) -> float:
     """The most evidence of a fault that its direct witness denies: wind or road looks alike."""
-    own, most = state.hypotheses, real(0.0, state.command_1)
-    if torque_waits(table, state):
-        most = own.evidence[TORQUE_LOST]
+    most = real(0.0, evidence[TORQUE_LOST])
+    if waits:
+        most = evidence[TORQUE_LOST]
     if excused:
-        most = max(most, strongest(own.evidence, SENSOR_WRONG, SENSOR_FROZEN))
+        most = max(most, strongest(evidence, SENSOR_WRONG, SENSOR_FROZEN))
     return most
 
 
 @firmware
-def with_echoes(table: Table, state: layout.State, verdict: int) -> int:
+def with_echoes(table: Table, heard: echoes.State, lost: bool, verdict: int) -> int:
     """The verdict of a tick, where a believed echo names the place."""
-    torque, force = state.echoes.channel_1, state.echoes.channel_2
-    if state.fault_state == CONFIRMED:
+    torque, force = heard.channel_1, heard.channel_2
+    if lost:
         gone = force.believed == 1 and says_lost(table.echoes.actuator_2, force)
         verdict = BOTH_LOST if gone else verdict
     elif torque.believed == 1:
@@ -237,14 +250,14 @@ def with_echoes(table: Table, state: layout.State, verdict: int) -> int:
 
 
 @firmware
-def is_clear(table: Table, state: layout.State, most: float, second: float) -> bool:
+def is_clear(table: Table, own: State, most: float, second: float) -> bool:
     """Whether the fault with the ``most`` evidence is distinguished from faults at other places.
 
     A bias begins with a jump; no torque can jump. Only d̂ since the onset of a lost channel 1
     distinguishes a lost channel 2 from a lost channel 1: where F̂ works on d̂, u2 answers to every
     d̂, and an earlier d̂ gives no present evidence.
     """
-    own, constants = state.hypotheses, table.hypotheses
+    constants = table.hypotheses
     if own.evidence[SENSOR_WRONG] == most and own.signatures.jump < constants.jump:
         return False
     ahead: float = constants.ahead
@@ -257,48 +270,48 @@ def is_clear(table: Table, state: layout.State, most: float, second: float) -> b
 
 
 @firmware
-def is_reported(own: signatures.One, confirm: float, most: float) -> bool:
+def is_reported(row: signatures.One, confirm: float, most: float) -> bool:
     """Whether the echo of an actuator explains d̂ at least half as well as any other fault.
 
     The echo would have to be wrong at the same time as another fault, and in the same way.
     """
-    evidence, half = own.candidate.evidence, real(0.5, most)
+    evidence, half = row.candidate.evidence, real(0.5, most)
     reported: bool = evidence > confirm and evidence > half * most
     return reported
 
 
 @firmware
 def find_by_echo(
-    table: Table, state: layout.State, own: signatures.One, echo: Echo, fault: int
+    table: Table, own: State, known: mismatch.State, row: signatures.One, echo: Echo, fault: int
 ) -> None:
     """Record that ``echo`` tells the truth about a ``fault``, or no longer does."""
-    believe(table, state, echo, own.candidate, own.answer)
-    hypotheses = state.hypotheses
-    begin_all(hypotheses.signatures)
-    hypotheses.found_size = 0.0
-    hypotheses.found = fault
-    hypotheses.verdict = NOTHING
+    believe(table, known, echo, row.candidate, row.answer)
+    begin_all(own.signatures)
+    own.found_size = 0.0
+    own.found = fault
+    own.verdict = NOTHING
 
 
 @firmware
-def believe_with_witness(table: Table, state: layout.State) -> None:
+def believe_with_witness(
+    table: Table, own: State, known: mismatch.State, heard: echoes.State, seen: witness.State
+) -> None:
     """Believe the echo of a lost torque without the sensor, once the witness shows the loss too."""
-    echo, row, off = state.echoes.channel_1, state.hypotheses.signatures.torque_echo, state.witness
+    echo, row = heard.channel_1, own.signatures.rows[TORQUE_ECHO_ROW]
     actuator = table.echoes.actuator_1
     missing = output(table.estimator.channel_1, row.answer, missing_command(actuator, echo))
     half = real(0.5, missing)
-    explains = abs(off.difference + missing) < half * abs(off.difference)
-    shown = off.left > 0 and off.witness_off > unsure(table.witness, off)
+    explains = abs(seen.difference + missing) < half * abs(seen.difference)
+    shown = seen.left > 0 and seen.witness_off > unsure(table.witness, seen)
     if shown and explains and echo.believed == 0 and says_lost(actuator, echo):
-        find_by_echo(table, state, row, echo, TORQUE_OFFSET)
+        find_by_echo(table, own, known, row, echo, TORQUE_OFFSET)
 
 
 @firmware
-def standing(table: Table, state: layout.State) -> int:
+def standing(table: Table, own: State, heard: echoes.State, lost: bool) -> int:
     """The standing verdict of the last tick, without a new finding."""
-    own = state.hypotheses
     verdict: int = own.verdict
-    if state.fault_state == CONFIRMED:
+    if lost:
         if verdict != BOTH_LOST:
             verdict = CANNOT_BE_TOLD
             if own.evidence[TORQUE_LOST] > table.decision.confirm:
@@ -307,9 +320,9 @@ def standing(table: Table, state: layout.State) -> int:
     if verdict == SENSOR_FROZEN and own.frozen.repetitions > real(0.0, own.found_size):
         return verdict
     working = table.echoes.working
-    if verdict == TORQUE_OFFSET and works(state.echoes.channel_1, working):
+    if verdict == TORQUE_OFFSET and works(heard.channel_1, working):
         verdict = NOTHING
-    obeys = own.signatures.obeyed == 1 or works(state.echoes.channel_2, working)
+    obeys = own.signatures.obeyed == 1 or works(heard.channel_2, working)
     if verdict == FORCE_LOST and obeys:
         verdict = NOTHING
     if verdict == TORQUE_LOST or verdict > SENSOR_DRIFTING:
@@ -338,17 +351,18 @@ def likeliest_fault(evidence: FloatArray, most: float) -> int:
 
 
 @firmware
-def find(table: Table, state: layout.State, fault: int) -> None:
+def find(table: Table, own: State, known: mismatch.State, fault: int) -> None:
     """Record a found ``fault``: the fault is present, or an earlier fault is gone.
 
     The weighed evidence is now known, so every candidate starts with a new onset.
     """
-    own, weighed = state.hypotheses, state.hypotheses.signatures
+    weighed, sensor = own.signatures, own.sensor_error
     size = size_of(weighed, fault)
     if fault == SENSOR_WRONG:
-        gone = learn_sensor_error(table, state, weighed.sensor_biased, real(-1.0, size))
+        gone = learn_sensor_error(table, sensor, known, weighed.rows[BIAS_ROW], real(-1.0, size))
     elif fault == SENSOR_DRIFTING:
-        gone = learn_sensor_error(table, state, weighed.sensor_drifting, weighed.ramp)
+        drift = weighed.rows[DRIFT_ROW]
+        gone = learn_sensor_error(table, sensor, known, drift, drift.ramp)
     else:
         opposite = own.found_size * size < real(0.0, size)
         gone = opposite and place_of(fault) == place_of(own.verdict)
@@ -379,18 +393,17 @@ def found_elsewhere(own: State) -> bool:
 @firmware
 def size_of(own: signatures.State, fault: int) -> float:
     """The size of a found actuator fault; 0 for other faults."""
-    size = real(0.0, own.ramp)
+    size = real(0.0, own.jump)
     if fault == TORQUE_OFFSET:
-        size = own.torque_offset.candidate.size_now
+        size = own.rows[OFFSET_ROW].candidate.size_now
     elif fault == FORCE_LOST:
-        size = own.force_lost.candidate.size_now
+        size = own.rows[FORCE_ROW].candidate.size_now
     return size
 
 
 @firmware
-def clear_hypotheses(state: layout.State) -> None:
+def clear_hypotheses(own: State) -> None:
     """Nothing is known."""
-    own = state.hypotheses
     begin_all(own.signatures)
     thaw(own.frozen)
     own.frozen.measurement = own.frozen.expected = own.found_size = 0.0

@@ -132,9 +132,9 @@ def test_a_state_that_no_output_shows_is_refused():
 def test_the_other_rules_have_schedules_too(rule):
     of = scheduled(SPEEDS[:2], replace(TARGET, estimator=rule))
     assert of.schedule.n == 2
-    assert np.isfinite(of.schedule.turn_1).all() and of.schedule.turn_1[0].any()
+    assert np.isfinite(of.schedule.model.turn_1).all() and of.schedule.model.turn_1[0].any()
 
 
 def test_the_turn_is_small_where_speeds_are_near():
-    near, far = (scheduled((12.0, 12.0 * ratio)).schedule.turn_1[0] for ratio in (1.01, 1.02))
+    near, far = (scheduled((12.0, 12.0 * ratio)).schedule.model.turn_1[0] for ratio in (1.01, 1.02))
     np.testing.assert_allclose(far, 2.0 * near, rtol=0.05, atol=1e-6 * np.abs(far).max())

@@ -76,7 +76,7 @@ def test_other_cars_are_those_of_the_box_by_the_rule_of_the_estimator(rule: Any)
     table = build(CLOSED, target)
     assert table.other_cars.scale == pytest.approx(20.0)
     assert table.mismatch.rule == (0.0 if rule == "zoh" else 1.0)
-    cars = [table.other_cars[f"car_{i}"] for i in (1, 2, 3, 4)]
+    cars = list(table.other_cars.cars)
     assert len(OTHERS.cars) == 3
     assert table.mismatch.n == 2 + 3 + 1  # of a loss, the cars, the remainder
     for car, (g1, g2) in zip(cars[:3], OTHERS.cars, strict=True):

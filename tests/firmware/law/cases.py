@@ -15,6 +15,15 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.vehicle import VehicleParameters
 from firmware_model.law.structs import FloatArray, Records
 from firmware_model.law.supervision.covariance import MAX_DIRECTIONS, MAX_STATES
+from firmware_model.law.supervision.signatures import (
+    BIAS_ROW,
+    DRIFT_ROW,
+    FORCE_ROW,
+    OFFSET_ROW,
+    advance_signatures,
+    keep_before,
+    weigh_signatures,
+)
 
 NOMINAL = VehicleParameters()
 CAR = steer_by_wire(NOMINAL)
@@ -73,3 +82,25 @@ def through(sections: Any, values: NDArray[Any]) -> NDArray[Any]:
 def late(values: NDArray[Any], ticks: int) -> NDArray[Any]:
     """``values`` so many ticks later, zero before."""
     return np.concatenate([np.zeros(ticks), values])[: len(values)]
+
+
+ROW = {
+    "torque_offset": OFFSET_ROW, "force_lost": FORCE_ROW,
+    "sensor_biased": BIAS_ROW, "sensor_drifting": DRIFT_ROW,
+}  # fmt: skip
+"""The hypothesis of a fault."""
+
+
+def weigh(table: Any, state: Any, innovation: float) -> None:
+    """A tick of all signatures, with what ``state`` has of everything else."""
+    own, command_2 = state.hypotheses, state.other_cars.command_2
+    weigh_signatures(
+        table, own.signatures, state.mismatch, state.echoes, command_2, own.verdict, innovation
+    )
+    keep_before(own.signatures, state.sequential_test.age)
+
+
+def tick_on(table: Any, state: Any) -> None:
+    """From that tick to the next."""
+    own, command_2 = state.hypotheses.signatures, state.other_cars.command_2
+    advance_signatures(table, own, state.echoes, command_2)

@@ -309,8 +309,8 @@ def test_many_good_echoes_end_a_verdict(channel: int, verdict: Verdict) -> None:
     state.hypotheses.verdict = verdict
     state.echoes.channel_1.outputs[:] = state.echoes.channel_2.outputs[:] = 5.0
     for _ in range(int(table.echoes.working)):
-        assert standing(table, state) == verdict
+        assert standing(table, state.hypotheses, state.echoes, False) == verdict
         hear(table, state, float(channel), 4.9, 0.0)
-    assert standing(table, state) == Verdict.NOTHING
+    assert standing(table, state.hypotheses, state.echoes, False) == Verdict.NOTHING
     hear(table, state, float(channel), 2.0, 0.0)
-    assert standing(table, state) == verdict
+    assert standing(table, state.hypotheses, state.echoes, False) == verdict

@@ -18,12 +18,8 @@ from firmware_model.law.structs import FloatArray, Records
 from firmware_model.law.supervision.candidate import likeliest, take_in
 from firmware_model.law.supervision.frozen import weigh_frozen
 from firmware_model.law.supervision.mismatch import innovation
-from firmware_model.law.supervision.signatures import (
-    advance_signatures,
-    begin_all,
-    weigh_signatures,
-)
-from tests.firmware.law.cases import CAR, DESIGN, TICK_S, changed, other_cars
+from firmware_model.law.supervision.signatures import BIAS_ROW, FORCE_ROW, begin_all
+from tests.firmware.law.cases import CAR, DESIGN, ROW, TICK_S, changed, other_cars, tick_on, weigh
 
 TICKS = 60
 
@@ -63,15 +59,15 @@ def test_a_signature_is_what_the_fault_changes_in_the_innovations(noise_pole: fl
     without, _ = filtered(table, healthy, x)
     with_fault, _ = filtered(table, healthy + size * shown, x)
     state = controller.init(table)[0]
-    own = state.hypotheses.signatures.sensor_biased.candidate
-    limits = table.hypotheses.signatures.sensor_biased
+    own = state.hypotheses.signatures.rows[BIAS_ROW].candidate
+    limits = table.hypotheses.signatures.rows[BIAS_ROW].limits
     correlation = information = 0.0
     for k in range(TICKS):
         state.mismatch.regressor[:n] = x[k]
         residual = float(healthy[k] + size * shown[k])
         new = innovation(table.mismatch, state.mismatch, residual, 0.0, 0.0, 0.0)
         assert new == pytest.approx(with_fault[k], rel=1e-12)
-        take_in(table, state, own, limits, float(shown[k]), new)
+        take_in(table.mismatch, state.mismatch, own, limits, float(shown[k]), new)
         f = (with_fault[k] - without[k]) / size
         correlation += f * new / state.mismatch.variance
         information += f * f / state.mismatch.variance
@@ -87,7 +83,7 @@ def test_a_bias_jumps_in_the_tick_after_a_verdict_as_in_any_other(
     table, state = NO_CARS[0], controller.init(NO_CARS[0])[0]
     begin_all(state.hypotheses.signatures)
     state.mismatch.variance = variance
-    weigh_signatures(table, state, new)
+    weigh(table, state, new)
     assert state.hypotheses.signatures.jump == pytest.approx(0.5 * new**2 / variance, rel=1e-12)
 
 
@@ -100,11 +96,14 @@ def test_evidence_is_the_likelihood_ratio_of_the_likeliest_size(
     f, sigma = draw.standard_normal(12), draw.uniform(0.5, 2.0, 12)
     new = draw.uniform(-1, 1) * f + sigma * draw.standard_normal(12)
     table, state = NO_CARS[0], controller.init(NO_CARS[0])[0]
-    own, bounds = state.hypotheses.signatures.force_lost.candidate, table.hypotheses.torque_lost
+    own, bounds = (
+        state.hypotheses.signatures.rows[FORCE_ROW].candidate,
+        table.hypotheses.torque_lost,
+    )
     bounds.least, bounds.most = limits
     for k in range(12):
         state.mismatch.variance = sigma[k] ** 2
-        take_in(table, state, own, bounds, float(f[k]), float(new[k]))
+        take_in(table.mismatch, state.mismatch, own, bounds, float(f[k]), float(new[k]))
 
     def log_ratio(size: float) -> float:
         with_fault = stats.norm.logpdf(new, size * f, sigma).sum()
@@ -119,7 +118,7 @@ def test_evidence_is_the_likelihood_ratio_of_the_likeliest_size(
 
 
 def test_where_nothing_is_known_the_size_is_none() -> None:
-    limits = tables_of()[0].hypotheses.signatures.force_lost
+    limits = tables_of()[0].hypotheses.signatures.rows[FORCE_ROW].limits
     assert likeliest(3.0, 0.0, limits) == 0.0
     assert likeliest(-3.0, 1.0, limits) == limits.least == 0.5
 
@@ -136,15 +135,15 @@ def test_what_each_fault_adds_to_the_estimate() -> None:
     rows = []
     for k in range(TICKS):
         state.other_cars.command_2 = force[k]
-        weigh_signatures(table, state, 0.0)
+        weigh(table, state, 0.0)
         rows.append(
-            [own[name].candidate.information
+            [own.rows[ROW[name]].candidate.information
              for name in ("torque_offset", "force_lost", "sensor_biased", "sensor_drifting")]
         )  # fmt: skip
-        advance_signatures(table, state)
+        tick_on(table, state)
         if k == 0:  # the onset that is looked at: from now on
             begin_all(own)
-            advance_signatures(table, state)
+            tick_on(table, state)
             rows = [[0.0] * 4]
     offset, lost, bias, drift = np.diff(rows, axis=0).T  # squares of the signatures
     t = TICK_S * np.arange(1, TICKS)
@@ -168,7 +167,14 @@ def test_a_frozen_sensor_repeats_itself_while_the_model_moves(moves: bool) -> No
     expected = 0.1 * np.arange(6) if moves else np.zeros(6)
     for k in range(6):
         state.measurement = 0.3
-        weigh_frozen(table, state, float(expected[k] - expected[0]), float(expected[k]))
+        weigh_frozen(
+            table,
+            state.hypotheses.frozen,
+            state.mismatch,
+            state.measurement,
+            float(expected[k] - expected[0]),
+            float(expected[k]),
+        )
     draw = np.random.default_rng(0).standard_normal((2, 400_000)) * 0.01
     chance = np.mean(np.diff(np.rint(draw / 0.001), axis=0) == 0.0)
     missing = expected[1:] - expected[0]
@@ -177,7 +183,7 @@ def test_a_frozen_sensor_repeats_itself_while_the_model_moves(moves: bool) -> No
     evidence = -5.0 * math.log(chance) + ratio.sum() if moves else 0.0
     assert own.evidence == pytest.approx(evidence, rel=0.02)
     state.measurement = 0.301
-    weigh_frozen(table, state, 0.0, 0.0)
+    weigh_frozen(table, state.hypotheses.frozen, state.mismatch, state.measurement, 0.0, 0.0)
     assert (own.repetitions, own.evidence) == (0.0, 0.0)
 
 

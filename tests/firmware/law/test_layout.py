@@ -45,8 +45,8 @@ def compare(layout: np.dtype[Any], struct: type[ctypes.Structure]) -> None:
         member, offset = layout.fields[name][:2]  # type: ignore[index]
         assert offset == getattr(struct, name).offset, name
         assert member.itemsize == ctypes.sizeof(kind), name
-        if member.names:
-            compare(member, kind)
+        if member.base.names:
+            compare(member.base, getattr(kind, "_type_", kind))
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -64,7 +64,7 @@ def test_there_are_numbers_of_the_precision_and_32_bit_integers_alone(
     def leaves(layout: np.dtype[Any]) -> Iterator[np.dtype[Any]]:
         for name in layout.names or ():
             member = layout[name]
-            yield from leaves(member) if member.names else [member.base]
+            yield from leaves(member.base) if member.base.names else [member.base]
 
     assert set(leaves(TYPES[which][1](precision))) == {np.dtype(precision), np.dtype(np.int32)}
 

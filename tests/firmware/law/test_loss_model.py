@@ -17,22 +17,19 @@ from firmware_model.law.core.biquad import output
 from firmware_model.law.core.estimator import advance_model
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
-from firmware_model.law.supervision.likelihood_ratio import (
-    advance_candidate,
-    candidate_output,
-    candidate_shown,
-    start_candidate,
-)
+from firmware_model.law.supervision.decision import restart_test
+from firmware_model.law.supervision.likelihood_ratio import advance_candidate, candidate_shown
 from firmware_model.law.supervision.loss_model import (
     advance_loss_model,
     clear_loss_model,
+    earlier_missing,
     earlier_shown,
     fading_output,
-    fading_shown,
     follow_share,
     known_share,
     loss_output,
     loss_shown,
+    lost_command,
     take_over_candidate,
 )
 from firmware_model.law.supervision.whitener import whiten
@@ -52,9 +49,38 @@ def begun(latency: int) -> tuple[Any, Any]:
 
 def advance(table: Any, state: Any, command: float) -> None:
     state.command_1 = command
-    advance_loss_model(table, state)
-    advance_candidate(table, state)
+    advance_loss_model(
+        table, state.loss_model, state.estimator, lost_command(state.fault_state, state.command_1)
+    )
+    advance_candidate(table, state.sequential_test, state.estimator, state.command_1)
     advance_model(table.estimator, state.estimator, command, 0.0)
+
+
+def w_now(table: Any, state: Any) -> float:
+    lost = lost_command(state.fault_state, state.command_1)
+    return loss_output(table, state.loss_model, lost)
+
+
+def w_shown(table: Any, state: Any) -> float:
+    lost = lost_command(state.fault_state, state.command_1)
+    return loss_shown(table, state.loss_model, state.estimator, lost)
+
+
+def candidate_now(table: Any, state: Any) -> float:
+    own = state.sequential_test.channel_1
+    return output(table.estimator.channel_1, own, state.command_1)
+
+
+def candidate_shown_in(table: Any, state: Any) -> float:
+    return candidate_shown(table, state.sequential_test, state.estimator, state.command_1)
+
+
+def fading_now(table: Any, state: Any) -> float:
+    return fading_output(table, state.loss_model)
+
+
+def fading_shown(table: Any, state: Any) -> float:
+    return earlier_missing(table, state.loss_model, state.estimator, state.echoes)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -68,7 +94,7 @@ def test_behind_the_whitener_s_w_is_continuous_too(sign: float) -> None:
         whiten(table.mismatch.whitener, candidate, new)
     state.loss_model.share = 0.5
     apart, share = state.copy(), 0.8
-    take_over_candidate(table, state, share, sign)
+    take_over_candidate(table, state.loss_model, state.mismatch, state.sequential_test, share, sign)
     now, before = state.mismatch.white, apart.mismatch.white
     signals = (now.fading, now.lost, before.lost, apart.sequential_test.white)
     for _ in range(6):  # whatever comes: here, nothing
@@ -90,7 +116,7 @@ def test_w_is_the_answer_of_g1_to_the_commands_that_are_lost(latency: int) -> No
     for k, command in enumerate(COMMANDS):
         state.fault_state = FaultState.CONFIRMED if k < 20 else FaultState.CLEAR
         state.command_1 = command
-        rows.append((loss_output(table, state), loss_shown(table, state)))
+        rows.append((w_now(table, state), w_shown(table, state)))
         advance(table, state, command)
         rows[-1] += (float(state.loss_model.previous_output),)
     w = signal.sosfilt(tustin(CAR.g1, TICK_S).sos, np.where(np.arange(30) < 20, COMMANDS, 0.0))
@@ -112,11 +138,11 @@ def test_the_candidate_is_driven_by_all_commands_that_had_not_acted(
     )
     for k, command in enumerate(COMMANDS):
         if k == start:
-            start_candidate(table, state)
+            restart_test(table, state)
             before = w[k - 1] if k > 0 and latency > 0 else 0.0
             assert state.sequential_test.previous_output == pytest.approx(before, abs=1e-12)
         state.command_1 = command
-        shown = candidate_shown(table, state)
+        shown = candidate_shown_in(table, state)
         advance(table, state, command)
         if k >= start:
             assert state.sequential_test.previous_output == pytest.approx(w[k], abs=1e-12)
@@ -134,7 +160,7 @@ def test_what_is_missing_is_continuous_where_a_candidate_is_taken_over(
     table, state = begun(latency)
     for k, command in enumerate(COMMANDS):
         if k == 17:
-            start_candidate(table, state)
+            restart_test(table, state)
         advance(table, state, command)
     loss, older_loss = state.loss_model, 2.0 * state.sequential_test.earlier.accumulators
     loss.earlier.accumulators[:] = older_loss
@@ -144,7 +170,9 @@ def test_what_is_missing_is_continuous_where_a_candidate_is_taken_over(
     if known == 0.0:
         loss.share = 0.0
     apart, together = state.copy(), state
-    take_over_candidate(table, together, share, sign)
+    take_over_candidate(
+        table, together.loss_model, together.mismatch, together.sequential_test, share, sign
+    )
     assert loss.share == loss.between == loss.followed == share
     older = output(table.estimator.channel_1, apart.loss_model.earlier, 0.0)
     assert loss.previous_fading + share * loss.previous_output == pytest.approx(
@@ -152,9 +180,9 @@ def test_what_is_missing_is_continuous_where_a_candidate_is_taken_over(
         + moment * older
         + sign * share * apart.sequential_test.previous_output
     )
-    pairs = [(loss_output, candidate_output, fading_output)]
+    pairs = [(w_now, candidate_now, fading_now)]
     if latency == 0 or moment == 0.0:  # the ring takes the change by the moment for a constant
-        pairs.append((loss_shown, candidate_shown, fading_shown))
+        pairs.append((w_shown, candidate_shown_in, fading_shown))
     for _ in range(6):  # whatever is lost from now on: here, nothing
         apart.command_1 = together.command_1 = 0.0
         older = output(table.estimator.channel_1, apart.loss_model.earlier, 0.0)
@@ -164,7 +192,7 @@ def test_what_is_missing_is_continuous_where_a_candidate_is_taken_over(
             assert found == pytest.approx(expected + moment * older, abs=1e-12)
             assert abs(expected) > 1e-6
         older = output(table.estimator.channel_1, apart.sequential_test.earlier, 0.0)
-        assert earlier_shown(table, together) == pytest.approx(older, rel=1e-12)
+        assert earlier_shown(table, together.loss_model) == pytest.approx(older, rel=1e-12)
         assert abs(older) > 1e-9
         advance(table, apart, 0.0)
         advance(table, together, 0.0)
@@ -180,7 +208,7 @@ def test_what_is_cleared_is_nothing() -> None:
     for model in (loss.channel_1, loss.earlier, loss.fading):
         model.accumulators[:] = 0.5
     assert 0 not in np.frombuffer(loss.tobytes())
-    clear_loss_model(state)
+    clear_loss_model(state.loss_model)
     assert not any(loss.tobytes())
 
 
@@ -190,7 +218,7 @@ def test_the_share_that_is_compensated_follows_by_two_lags() -> None:
     state.loss_model.share = 1.0
     followed = []
     for _ in range(60):
-        follow_share(table.loss_model, state)
+        follow_share(table.loss_model, state.loss_model, 1.0)
         followed.append(float(state.loss_model.followed))
     expected = signal.lfilter([0.01], np.poly([0.9, 0.9]), np.ones(60))
     np.testing.assert_allclose(followed, expected, rtol=1e-9)
@@ -202,4 +230,4 @@ def test_the_share_that_is_compensated_follows_by_two_lags() -> None:
 def test_a_known_share_is_none_to_all(share: float, off: float, known: float) -> None:
     _, state = begun(0)
     state.loss_model.share, state.mismatch.theta[0] = share, off
-    assert known_share(state) == pytest.approx(known)
+    assert known_share(state.loss_model, state.mismatch) == pytest.approx(known)

@@ -60,9 +60,9 @@ def predict(
     table: Any, state: Any, command: float, model: float, lost: float, earlier: float = 0.0
 ) -> None:
     """A tick of the other cars and of the mismatch."""
-    show_other_cars(table, state, command, 0.0)
-    predict_mismatch(table, state, model, lost, earlier)
-    advance_other_cars(table, state)
+    show_other_cars(table, state.other_cars, state.estimator.measured, command, 0.0)
+    predict_mismatch(table, state.mismatch, state.other_cars.shown, model, lost, earlier)
+    advance_other_cars(table, state.other_cars, state.estimator.measured, state.command_2)
 
 
 def predicted(table: Any) -> NDArray[Any]:
@@ -205,8 +205,8 @@ def test_a_settled_car_has_not_moved() -> None:
     known = state.mismatch
     known.theta[:] = known.x[:] = 7.0
     known.covariance.lower[:] = 0.3
-    settle_other_cars(table, state, torque, 0.0)
-    settle_mismatch(table, state, 1.0)
+    settle_other_cars(table, state.other_cars, state.estimator.measured, torque, 0.0)
+    settle_mismatch(table, state.mismatch, state.other_cars.shown, 1.0)
     assert not known.theta.any()
     assert known.x[:2].tolist() == known.regressor[:2].tolist() == [0.0, 0.0]
     for _ in range(5):

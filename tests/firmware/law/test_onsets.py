@@ -16,11 +16,13 @@ from firmware_model.law import controller
 from firmware_model.law.supervision.candidate import has_failed, start, take_in
 from firmware_model.law.supervision.frozen import weigh_frozen
 from firmware_model.law.supervision.signatures import (
-    advance_signatures,
+    BIAS_ROW,
+    DRIFT_ROW,
+    FORCE_ROW,
+    OFFSET_ROW,
     answers_no_more,
-    weigh_signatures,
 )
-from tests.firmware.law.cases import CAR, TICK_S, changed
+from tests.firmware.law.cases import CAR, ROW, TICK_S, changed, tick_on, weigh
 
 pytestmark = pytest.mark.every_case  # a case each of few lines
 
@@ -49,10 +51,20 @@ def test_what_is_foretold_is_told_with_the_size_of_the_tick_before() -> None:
     draw = np.random.default_rng(3)
     f, sigma = draw.standard_normal(12), draw.uniform(0.5, 2.0, 12)
     new = 0.7 * f + sigma * draw.standard_normal(12)
-    own, limits = state.hypotheses.signatures.torque_offset.candidate, table.hypotheses.signatures
+    own, limits = (
+        state.hypotheses.signatures.rows[OFFSET_ROW].candidate,
+        table.hypotheses.signatures,
+    )
     for k in range(12):
         state.mismatch.variance = sigma[k] ** 2
-        take_in(table, state, own, limits.torque_offset, float(f[k]), float(new[k]))
+        take_in(
+            table.mismatch,
+            state.mismatch,
+            own,
+            limits.rows[OFFSET_ROW].limits,
+            float(f[k]),
+            float(new[k]),
+        )
     fitted = np.cumsum(f * new / sigma**2) / np.cumsum(f**2 / sigma**2)
     before = np.concatenate([[0.0], fitted[:-1]])
     foretold = stats.norm.logpdf(new, before * f, sigma) - stats.norm.logpdf(new, 0.0, sigma)
@@ -75,14 +87,14 @@ def test_the_last_number_with_which_a_candidate_is_given_up(
     age: float, evidence: float, foretold: float, failed: bool
 ) -> None:
     table, state = begun()
-    own = state.hypotheses.signatures.torque_offset.candidate
+    own = state.hypotheses.signatures.rows[OFFSET_ROW].candidate
     own.age, own.evidence, own.foretold = age, evidence, foretold
     assert has_failed(table.hypotheses.signatures.candidate, own) == failed
 
 
 def test_a_candidate_that_begins_knows_nothing_of_the_last() -> None:
     _, state = begun()
-    own = state.hypotheses.signatures.torque_offset.candidate
+    own = state.hypotheses.signatures.rows[OFFSET_ROW].candidate
     fresh = own.tobytes()
     for name in own.dtype.names:
         own[name] = 7.0
@@ -95,12 +107,12 @@ def test_a_fault_of_an_actuator_begins_again_where_its_onset_was_none(name: str)
     """And what channel 2 was told, and did not do, is counted from the same onset."""
     table, state = begun()
     own = state.hypotheses.signatures
-    fresh = own[name].tobytes()
-    own[name].candidate.foretold = -2.0
-    own[name].answer.accumulators[:] = own.commanded = own.missing = own.before = 7.0
+    fresh = own.rows[ROW[name]].tobytes()
+    own.rows[ROW[name]].candidate.foretold = -2.0
+    own.rows[ROW[name]].answer.accumulators[:] = own.commanded = own.missing = own.before = 7.0
     state.sequential_test.age = 3.0
-    weigh_signatures(table, state, 0.0)
-    assert own[name].tobytes() == fresh
+    weigh(table, state, 0.0)
+    assert own.rows[ROW[name]].tobytes() == fresh
     assert (own.commanded == own.missing == own.before == 0.0) == (name == "force_lost")
 
 
@@ -109,9 +121,9 @@ def test_the_evidence_of_before_is_that_at_the_last_onset_of_a_loss_of_channel_1
     own, evidence = state.hypotheses.signatures, []
     for age in (4.0, 0.0, 1.0, 2.0):
         state.other_cars.command_2, state.sequential_test.age = 1000.0, age
-        weigh_signatures(table, state, 0.5)
-        advance_signatures(table, state)
-        evidence.append(float(own.force_lost.candidate.evidence))
+        weigh(table, state, 0.5)
+        tick_on(table, state)
+        evidence.append(float(own.rows[FORCE_ROW].candidate.evidence))
         assert own.before == (evidence[1] if len(evidence) > 1 else 0.0)
     assert evidence == sorted(set(evidence))
 
@@ -124,8 +136,8 @@ def test_what_channel_2_was_told_and_what_of_it_is_missing() -> None:
     force, residual = 1000.0 * draw.standard_normal(40), draw.standard_normal(40)
     for command, d_hat in zip(force, residual, strict=True):
         state.other_cars.command_2, state.mismatch.previous_residual = command, d_hat
-        weigh_signatures(table, state, 0.0)
-        advance_signatures(table, state)
+        weigh(table, state, 0.0)
+        tick_on(table, state)
     g2 = CAR.g2.numerator(), CAR.g2.denominator()
     told = signal.dlsim(signal.cont2discrete(g2, TICK_S), force)[1].ravel()
     assert own.commanded == pytest.approx(told @ told, rel=1e-4)
@@ -146,8 +158,8 @@ def test_an_offset_takes_away_from_a_plant_that_answers_at_once_too() -> None:
     table.estimator.channel_1.n = 1
     table.estimator.channel_1.coefficients[0] = 0.5, 0.0, 0.0, 0.0, 0.0
     state.mismatch.variance = 1.0
-    weigh_signatures(table, state, 1.0)
-    assert state.hypotheses.signatures.torque_offset.candidate.correlation == -0.5
+    weigh(table, state, 1.0)
+    assert state.hypotheses.signatures.rows[OFFSET_ROW].candidate.correlation == -0.5
 
 
 @pytest.mark.parametrize("name", ["sensor_biased", "sensor_drifting"])
@@ -166,29 +178,29 @@ def test_a_sensor_errs_from_now_on_where_this_tick_alone_explains_more(
     table.estimator.measurement.n = 1
     table.estimator.measurement.coefficients[0] = LAGS
     own, new = state.hypotheses.signatures, math.sqrt(2.0 * 0.25 * fresh)
-    own.ramp, candidate = -10.0, own[name].candidate
+    own.rows[DRIFT_ROW].ramp, candidate = -10.0, own.rows[ROW[name]].candidate
     candidate.information, candidate.correlation = 1e9, math.sqrt(2.0 * 1e9)
     candidate.age, candidate.foretold = 10.0, foretold
-    own[name].answer.accumulators[0, 0] = 7.0
-    weigh_signatures(table, state, new)
+    own.rows[ROW[name]].answer.accumulators[0, 0] = 7.0
+    weigh(table, state, new)
     if begins:
         assert candidate.age == 1.0
         assert candidate.information == pytest.approx(0.05**2 / 0.25)
         assert candidate.correlation == pytest.approx(-0.05 * new / 0.25)
-        assert not own[name].answer.accumulators.any()
+        assert not own.rows[ROW[name]].answer.accumulators.any()
     else:
         assert candidate.age == 11.0
-        assert own[name].answer.accumulators[0, 0] == 7.0
+        assert own.rows[ROW[name]].answer.accumulators[0, 0] == 7.0
     if name == "sensor_drifting":
-        assert own.ramp == (-1.0 if begins else -10.0)
+        assert own.rows[DRIFT_ROW].ramp == (-1.0 if begins else -10.0)
 
 
 def test_a_tick_that_explains_as_much_as_all_before_is_no_onset() -> None:
     """Of 1, 0, 0, 1 a bias of a half explains ½ · 2²/4, and the last alone ½ · 1²."""
     table, state = begun()
     for new in (1.0, 0.0, 0.0, 1.0):
-        weigh_signatures(table, state, new)
-    candidate = state.hypotheses.signatures.sensor_biased.candidate
+        weigh(table, state, new)
+    candidate = state.hypotheses.signatures.rows[BIAS_ROW].candidate
     assert (candidate.age, candidate.evidence) == (4.0, 0.5)
 
 
@@ -207,14 +219,16 @@ def test_a_repetition_tells_something_where_the_model_has_moved_by_more_than_the
     state.measurement = 0.3
     path = [start_at, start_at + far, start_at + moved]
     for expected in path:
-        weigh_frozen(table, state, 0.0, expected)
+        weigh_frozen(
+            table, state.hypotheses.frozen, state.mismatch, state.measurement, 0.0, expected
+        )
     missing = np.array([far, moved])
     ratio = stats.norm.logpdf(0.0, missing, 0.2) - stats.norm.logpdf(0.0, 0.0, 0.2)
     assert own.candidate.information == pytest.approx(missing @ missing / 0.04)
     assert own.evidence == pytest.approx(2 * 3.0 + ratio.sum() if tells else 0.0)
     fresh = controller.init(table)[0].hypotheses.frozen.candidate
     state.measurement = 0.31
-    weigh_frozen(table, state, 0.0, 0.0)
+    weigh_frozen(table, state.hypotheses.frozen, state.mismatch, state.measurement, 0.0, 0.0)
     assert own.candidate.tobytes() == fresh.tobytes()
 
 
@@ -226,6 +240,8 @@ def test_of_a_plant_that_is_not_stable_no_motion_is_missing() -> None:
     table.hypotheses.frozen.least_motion, table.hypotheses.frozen.repetition = 0.25, 3.0
     state.measurement = 0.3
     for expected in (0.0, 1.0, 2.0):
-        weigh_frozen(table, state, 0.5, expected)
+        weigh_frozen(
+            table, state.hypotheses.frozen, state.mismatch, state.measurement, 0.5, expected
+        )
     own = state.hypotheses.frozen
     assert (own.candidate.information, own.candidate.evidence, own.evidence) == (0.0, 0.0, 6.0)

@@ -44,9 +44,9 @@ def shown(table: Any, state: Any, commands: FloatArray) -> FloatArray:
     rows = []
     for command_1, command_2 in commands.T:
         state.command_2 = command_2
-        show_other_cars(table, state, command_1, command_2)
+        show_other_cars(table, state.other_cars, state.estimator.measured, command_1, command_2)
         rows.append(state.other_cars.shown.copy())
-        advance_other_cars(table, state)
+        advance_other_cars(table, state.other_cars, state.estimator.measured, state.command_2)
     return np.array(rows).T
 
 
@@ -76,14 +76,14 @@ def test_settled_cars_stay_and_cleared_cars_rest(parameters: int) -> None:
     state = controller.init(table)[0]
     shown(table, state, random_commands(20))
     steady = np.array([[3.0], [-40.0]])
-    settle_other_cars(table, state, *steady[:, 0])
+    settle_other_cars(table, state.other_cars, state.estimator.measured, *steady[:, 0])
     at_once = state.other_cars.shown.copy()
     stays = shown(table, state, np.repeat(steady, 5, axis=1))
     np.testing.assert_array_equal(stays[:, 0], at_once)
     for x, (g1, g2) in zip(stays, mismatch.cars, strict=False):
         by_gain = 3.0 * (g1.dc_gain - CAR.g1.dc_gain) - 40.0 * (g2.dc_gain - CAR.g2.dc_gain)
         np.testing.assert_allclose(x, by_gain / 0.05, rtol=1e-9)
-    clear_other_cars(state)
+    clear_other_cars(state.other_cars)
     own = state.other_cars
     assert (own.command_1, own.command_2) == (0.0, 0.0)
     assert not own.shown.any()
@@ -118,7 +118,7 @@ def test_what_command_2_makes_within_the_tick_is_that_of_the_held_one() -> None:
     of = Target(TICK_S, 0, noise_rms=0.01, mismatch=other_cars(1))
     tables = changed(build(DESIGN, of), decision=NEVER)
     state, table, pairs = controller.init(tables[0])[0], tables[0], []
-    through = table.other_cars.car_1.channel_2.coefficients[:, 0].prod(where=np.arange(8) < 2)
+    through = table.other_cars.cars[0].channel_2.coefficients[:, 0].prod(where=np.arange(8) < 2)
     through -= table.estimator.channel_2.coefficients[:, 0].prod(where=np.arange(8) < 2)
     for k in range(30):
         held = float(state.command_2)
@@ -127,7 +127,7 @@ def test_what_command_2_makes_within_the_tick_is_that_of_the_held_one() -> None:
         shown = float(state.other_cars.shown[0])
         mine = controller.init(table)[0]
         mine.other_cars = before
-        show_other_cars(table, mine, state.command_1, 0.0)
+        show_other_cars(table, mine.other_cars, mine.estimator.measured, state.command_1, 0.0)
         pairs.append((shown - float(mine.other_cars.shown[0]), through * held / 0.05))
     found, expected = np.array(pairs).T
     assert np.abs(expected).max() > 1e-6

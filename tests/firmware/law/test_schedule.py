@@ -43,8 +43,8 @@ def test_at_the_speed_of_a_design_it_is_that_design(i):
         lambda t: t.estimator.channel_1,
         lambda t: t.estimator.channel_2,
         lambda t: t.compensator.filter,
-        lambda t: t.other_cars.car_1.channel_1,
-        lambda t: t.other_cars.car_1.channel_2,
+        lambda t: t.other_cars.cars[0].channel_1,
+        lambda t: t.other_cars.cars[0].channel_2,
     ):
         ours, its = (sections_of(get(t))(z) for t in (other.table, alone))
         assert np.abs(ours / its - 1.0).max() < 1e-8
@@ -182,9 +182,8 @@ def test_a_healthy_car_that_gets_faster_shows_no_fault(cars):
 def test_without_the_turn_of_the_states_it_shows_one():
     of = scheduled()
     turned = healthy_estimate(of)
-    for name in of.schedule.dtype.names:
-        if "turn" in name:
-            of.schedule[name][:] = 0.0
+    for models in (of.schedule.model, *of.schedule.cars):
+        models.turn_1[:] = models.turn_2[:] = 0.0
     assert healthy_estimate(of) > 5.0 * turned
 
 

@@ -2,6 +2,8 @@
 
 import math
 from dataclasses import replace
+from functools import reduce
+from operator import getitem
 
 import numpy as np
 import pytest
@@ -9,7 +11,13 @@ import pytest
 from firmware_model.discretisation.targets import Reporting
 from firmware_model.law.layout import Table
 from firmware_model.law.schedule import MAX_SPEEDS, Constants, blend, place_of, turn_models
-from firmware_model.law.structs import fields_of, zeroed
+from firmware_model.law.structs import leaves, zeroed
+from firmware_model.law.supervision.signatures import (
+    FORCE_ECHO_ROW,
+    FORCE_ROW,
+    OFFSET_ROW,
+    TORQUE_ECHO_ROW,
+)
 from tests.firmware.scheduled import LAGS, SPEEDS, TARGET, Blended, scheduled
 
 OF = scheduled(target=replace(TARGET, echoes=tuple(map(Reporting, LAGS[:2]))), cars=1)
@@ -21,16 +29,16 @@ ONES = (  # whatever follows G1, and whatever follows G2
         lambda s: s.sequential_test.earlier,
         lambda s: s.loss_model.channel_1,
         lambda s: s.loss_model.earlier,
-        lambda s: s.hypotheses.signatures.torque_offset.answer,
-        lambda s: s.hypotheses.signatures.torque_echo.answer,
+        lambda s: s.hypotheses.signatures.rows[OFFSET_ROW].answer,
+        lambda s: s.hypotheses.signatures.rows[TORQUE_ECHO_ROW].answer,
         lambda s: s.echoes.channel_1.known,
         lambda s: s.other_cars.model.channel_1,
     ),
     (
         lambda s: s.estimator.channel_2,
         lambda s: s.shortfall_2,
-        lambda s: s.hypotheses.signatures.force_lost.answer,
-        lambda s: s.hypotheses.signatures.force_echo.answer,
+        lambda s: s.hypotheses.signatures.rows[FORCE_ROW].answer,
+        lambda s: s.hypotheses.signatures.rows[FORCE_ECHO_ROW].answer,
         lambda s: s.echoes.channel_2.known,
         lambda s: s.other_cars.model.channel_2,
     ),
@@ -48,7 +56,7 @@ def test_a_jump_turns_every_model_interval_by_interval(channel, way):
     for get in ONES[channel - 1]:
         get(at.state).accumulators[:4] = begin
     expected = begin.ravel()
-    turns = OF.schedule[f"turn_{channel}"].reshape(-1, size, size)
+    turns = OF.schedule.model[f"turn_{channel}"].reshape(-1, size, size)
     intervals = range(len(SPEEDS) - 1)
     for i in intervals if way == SPEEDS else reversed(intervals):
         signed = turns[i] if way == SPEEDS else -turns[i]
@@ -83,19 +91,19 @@ def test_gains_of_one_tick_are_blended_too():
 def test_as_many_other_cars_turn_as_the_table_knows_each_by_its_own_two_matrices(n):
     at, rng = Blended(OF), np.random.default_rng(n)
     at.table.other_cars.n = n
-    places = [(car, channel) for car in range(1, 5) for channel in (1, 2)]
+    places = [(car, channel) for car in range(4) for channel in (1, 2)]
     begin = {}
     for car, channel in places:
         turns = rng.standard_normal((len(SPEEDS) - 1, 8, 8))
-        at.schedule[f"car_{car}_turn_{channel}"][: len(turns)] = turns.reshape(-1, 64)
-        accumulators = at.state.other_cars[f"car_{car}"][f"channel_{channel}"].accumulators
+        at.schedule.cars[car][f"turn_{channel}"][: len(turns)] = turns.reshape(-1, 64)
+        accumulators = at.state.other_cars.cars[car][f"channel_{channel}"].accumulators
         accumulators[:4] = rng.standard_normal((4, 2))
         begin[car, channel] = accumulators[:4].ravel().copy(), turns[1]
     turn_models(at.schedule, at.own, at.table, at.state, 1, 0.25)
     for (car, channel), (s, turn) in begin.items():
         turned = s + 0.25 * turn @ s + 0.5 * 0.25**2 * turn @ turn @ s
-        ours = at.state.other_cars[f"car_{car}"][f"channel_{channel}"].accumulators[:4].ravel()
-        np.testing.assert_allclose(ours, turned if car <= n else s, rtol=1e-12)
+        ours = at.state.other_cars.cars[car][f"channel_{channel}"].accumulators[:4].ravel()
+        np.testing.assert_allclose(ours, turned if car < n else s, rtol=1e-12)
 
 
 def test_everything_that_is_blended_lies_on_the_line_between_two_designs():
@@ -104,39 +112,37 @@ def test_everything_that_is_blended_lies_on_the_line_between_two_designs():
     Behind the last design of a full schedule there is none, and none is read.
     """
     schedule = zeroed(Constants, "float64")[0]
-    for i, field in enumerate(fields_of(Constants)[2:]):
-        value = schedule[field.name]
-        value[:] = np.random.default_rng(i).standard_normal(value.shape)
+    draw = np.random.default_rng(0)
+    for path, _, numbers in leaves(Constants, schedule.dtype):
+        if path != ("n",):
+            reduce(getitem, path, schedule)[:] = draw.standard_normal(numbers.shape)
     table, sections = zeroed(Table, "float64")[0], 3
-    cars = {f"car_{i}_channel_{j}": ("other_cars", f"car_{i}", f"channel_{j}")
-            for i in range(1, 5) for j in (1, 2)}  # fmt: skip
+    cars = {("cars", i, f"channel_{j}"): ("other_cars", "cars", i, f"channel_{j}")
+            for i in range(4) for j in (1, 2)}  # fmt: skip
     filters = {
-        "tracking": ("tracking", "filter"),
-        "channel_1": ("estimator", "channel_1"),
-        "channel_2": ("estimator", "channel_2"),
-        "compensator": ("compensator", "filter"),
+        ("tracking",): ("tracking", "filter"),
+        ("model", "channel_1"): ("estimator", "channel_1"),
+        ("model", "channel_2"): ("estimator", "channel_2"),
+        ("compensator",): ("compensator", "filter"),
         **cars,
     }
     ones = {
-        "tracking_inverse": ("tracking", "loop_inverse"),
-        "feedthrough_2": ("estimator", "feedthrough_2"),
-        "compensator_feedthrough": ("compensator", "feedthrough"),
-        "compensator_inverse": ("compensator", "loop_inverse"),
+        ("tracking_inverse",): ("tracking", "loop_inverse"),
+        ("feedthrough_2",): ("estimator", "feedthrough_2"),
+        ("compensator_feedthrough",): ("compensator", "feedthrough"),
+        ("compensator_inverse",): ("compensator", "loop_inverse"),
     }
-    gains = {"make_up_1": ("shortfall_1", "gain"), "make_up_2": ("shortfall_2", "gain")}
+    gains = {("make_up_1",): ("shortfall_1", "gain"), ("make_up_2",): ("shortfall_2", "gain")}
 
     def field(path):
-        found = table
-        for name in path:
-            found = found[name]
-        return found
+        return reduce(getitem, path, table)
 
     for path in filters.values():
         field(path)["n"] = sections
     for at, share in ((4, 0.25), (4, 0.0), (MAX_SPEEDS - 1, 0.0)):
         blend(schedule, table, at, share)
         for name, path in (*filters.items(), *ones.items(), *gains.items()):
-            low, high = schedule[name][[at, (at + 1) % MAX_SPEEDS]]
+            low, high = reduce(getitem, name, schedule)[[at, (at + 1) % MAX_SPEEDS]]
             ours = field((*path, "coefficients") if name in filters else path)
             expected = np.reshape(low + share * (high - low), (-1, *np.shape(ours)[1:]))
             used = sections if np.ndim(ours) else 1

@@ -18,12 +18,8 @@ from firmware_model.law.supervision.sensor_error import (
     learn_sensor_error,
     sensor_error_shown,
 )
-from firmware_model.law.supervision.signatures import (
-    advance_signatures,
-    begin_all,
-    weigh_signatures,
-)
-from tests.firmware.law.cases import DESIGN, TICK_S, changed, other_cars
+from firmware_model.law.supervision.signatures import BIAS_ROW, DRIFT_ROW, begin_all
+from tests.firmware.law.cases import DESIGN, ROW, TICK_S, changed, other_cars, tick_on, weigh
 
 TICKS, FOUND = 60, 25
 
@@ -78,20 +74,22 @@ def test_what_follows_is_what_would_have_been_without_the_error(name: str, lags:
     without = filtered(table, fresh, healthy, x)
     state, rows = controller.init(table)[0], []
     own = state.hypotheses.signatures
-    own.ramp, n = -1.0, int(table.mismatch.n)  # onset: the first tick
+    own.rows[DRIFT_ROW].ramp, n = -1.0, int(table.mismatch.n)  # onset: the first tick
     for k in range(TICKS):
-        known = sensor_error_shown(table, state)
+        known = sensor_error_shown(table, state.hypotheses.sensor_error)
         state.mismatch.regressor[:n] = x[k]
         new = innovation(table.mismatch, state.mismatch, healthy[k] - shown[k], known, 0.0, 0.0)
         rows.append(new)
-        weigh_signatures(table, state, new)
+        weigh(table, state, new)
         if k == FOUND - 1:
-            own[name].candidate["size_now"] = size
-            ramp = own.ramp if name == "sensor_drifting" else -1.0
-            assert not learn_sensor_error(table, state, own[name], ramp)
+            own.rows[ROW[name]].candidate["size_now"] = size
+            ramp = own.rows[DRIFT_ROW].ramp if name == "sensor_drifting" else -1.0
+            assert not learn_sensor_error(
+                table, state.hypotheses.sensor_error, state.mismatch, own.rows[ROW[name]], ramp
+            )
             begin_all(own)
-        advance_signatures(table, state)
-        advance_sensor_error(table, state)
+        tick_on(table, state)
+        advance_sensor_error(table, state.hypotheses.sensor_error)
     assert state.hypotheses.sensor_error.offset == pytest.approx(error[-1])
     np.testing.assert_allclose(rows[FOUND:], without[FOUND:], rtol=1e-6, atol=1e-11)
     np.testing.assert_allclose(state.mismatch.theta, fresh.mismatch.theta, rtol=1e-6, atol=1e-11)
@@ -114,10 +112,12 @@ def test_what_follows_is_what_would_have_been_without_the_error(name: str, lags:
 def test_an_error_is_gone_where_less_than_half_is_left(sizes: list[float], gone: bool) -> None:
     table = table_of()
     state = controller.init(table)[0]
-    biased = state.hypotheses.signatures.sensor_biased
+    biased = state.hypotheses.signatures.rows[BIAS_ROW]
     for size in sizes:
         biased.candidate["size_now"] = size
-        over = learn_sensor_error(table, state, biased, -1.0)
+        over = learn_sensor_error(
+            table, state.hypotheses.sensor_error, state.mismatch, biased, -1.0
+        )
     assert over == gone
     assert state.hypotheses.sensor_error.offset == pytest.approx(0.0 if gone else sum(sizes))
 

@@ -27,7 +27,8 @@ from firmware_model.law.core.biquad import output
 from firmware_model.law.layout import Table
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray, Records
-from firmware_model.law.supervision.likelihood_ratio import is_stale, lost_share, start_candidate
+from firmware_model.law.supervision.decision import restart_test
+from firmware_model.law.supervision.likelihood_ratio import is_stale, lost_share
 from tests.firmware.law.cases import CAR, DESIGN, NEVER, TICK_S, changed, other_cars
 
 PLANT = sample(CAR, TICK_S)
@@ -56,7 +57,7 @@ def drive(tables: Records[Table], measured: FloatArray, starts: tuple[int, ...] 
     state, rows = states[0], []
     for k, y in enumerate(measured.tolist()):
         if k in starts:
-            start_candidate(tables[0], state)
+            restart_test(tables[0], state)
         controller.step(tables[0], state, math.sin(0.05 * k), y)
         known = state.mismatch
         rows.append((
@@ -185,7 +186,7 @@ def test_the_share_is_the_part_of_the_torque_that_is_lost(left: float) -> None:
     state, x, y, shares = states[0], PLANT.rest.copy(), 0.0, 0.0
     for k in range(ticks):
         if k == lost:
-            start_candidate(tables[0], state)
+            restart_test(tables[0], state)
         controller.step(tables[0], state, math.sin(0.02 * k), y + noise[k])
         working = left if k >= lost else 1.0
         u1, u2 = working * float(state.command_1), float(state.command_2)
@@ -199,7 +200,7 @@ def test_a_candidate_is_as_old_as_the_ticks_that_it_has_seen() -> None:
     state, ages = controller.init(tables[0])[0], []
     for k in range(8):
         if k == 5:
-            start_candidate(tables[0], state)
+            restart_test(tables[0], state)
         controller.step(tables[0], state, 0.1 * k, 0.0)
         ages.append(int(state.sequential_test.age))
     assert ages == [1, 2, 3, 4, 5, 1, 2, 3]
@@ -214,7 +215,7 @@ def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency: int
     state, commands, answers = controller.init(tables[0])[0], [], []
     for k in range(ticks):
         if k == start:
-            start_candidate(tables[0], state)
+            restart_test(tables[0], state)
         answers.append(output(table.estimator.channel_1, state.sequential_test.earlier, 0.0))
         controller.step(tables[0], state, math.sin(0.05 * k), 0.0)
         commands.append(float(state.command_1))

@@ -18,11 +18,11 @@ from firmware_model.discretisation.tustin import zoh
 from firmware_model.law import controller
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
-from firmware_model.law.supervision.decision import confirm, recover
+from firmware_model.law.supervision.decision import confirm, recover, restart_test
 from firmware_model.law.supervision.likelihood_ratio import (
     advance_candidate,
+    candidate_shown,
     forget_candidate,
-    start_candidate,
     update_test,
 )
 from firmware_model.law.supervision.loss_model import known_share
@@ -48,14 +48,18 @@ def learn(table: Any, state: Any, residuals: FloatArray, share: float) -> None:
     """From d̂ less what is known to be lost; the candidate begins at START."""
     for k, residual in enumerate(residuals.tolist()):
         if k == START:
-            start_candidate(table, state)
+            restart_test(table, state)
         state.command_1 = COMMANDS[k]
-        show_other_cars(table, state, state.command_1, state.command_2)
-        predict_mismatch(table, state, MODELLED[k], 0.0, 0.0)
+        show_other_cars(
+            table, state.other_cars, state.estimator.measured, state.command_1, state.command_2
+        )
+        predict_mismatch(table, state.mismatch, state.other_cars.shown, MODELLED[k], 0.0, 0.0)
         new = innovation(table.mismatch, state.mismatch, residual, 0.0, 0.0, 0.0)
-        update_test(table, state, new, share)
-        advance_candidate(table, state)
-        advance_other_cars(table, state)
+        test, known = state.sequential_test, state.mismatch
+        shown = candidate_shown(table, test, state.estimator, state.command_1)
+        assert not update_test(table, test, known, shown, new, share)
+        advance_candidate(table, state.sequential_test, state.estimator, state.command_1)
+        advance_other_cars(table, state.other_cars, state.estimator.measured, state.command_2)
 
 
 @pytest.mark.compiled
@@ -73,7 +77,7 @@ def test_what_is_forgotten_leaves_what_a_filter_without_the_loss_knows(
     taught = ours.mismatch.theta - without.mismatch.theta
     if abs(share) > 0.1:
         assert np.abs(taught).max() > 0.1 * abs(share)
-    forget_candidate(table, ours, share)
+    forget_candidate(table, ours.sequential_test, ours.mismatch, share)
     np.testing.assert_allclose(ours.mismatch.theta, without.mismatch.theta, atol=1e-9)
 
 
@@ -147,7 +151,9 @@ def test_a_share_that_is_off_at_its_confirmation_is_right_a_second_later(
         late.append((float(state.command_1), float(state.command_2)))
         u1, u2 = late.pop(0)
         y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, (0.5 if k >= lost else 1.0) * u1, u2)
-        shares.append((float(known_share(state)), float(state.loss_model.followed)))
+        shares.append(
+            (float(known_share(state.loss_model, state.mismatch)), float(state.loss_model.followed))
+        )
         if confirmed and k == confirmed + 1000:
             break
     assert lost < confirmed < lost + 300

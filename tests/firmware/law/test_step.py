@@ -20,6 +20,7 @@ from firmware_model.law.core.tracking import missing_output, track_on
 from firmware_model.law.status import FaultState, Mode
 from firmware_model.law.supervision.bumpless_transfer import transfer
 from firmware_model.law.supervision.decision import compensated_output
+from firmware_model.law.supervision.loss_model import lost_command
 from tests.firmware.law.cases import DESIGN, NEVER, TICK_S, changed, late, other_cars, through
 
 OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
@@ -45,7 +46,9 @@ def run(table: Any, state: Any, measured: NDArray[Any] = MEASURED) -> Columns:
         controller.step(table, state, reference, y)
         known = state.mismatch
         judged = known.previous_residual, known.previous_model_output
-        missing = missing_output(table, state)
+        missing = missing_output(
+            table.estimator, state.tracking, state.estimator, state.shortfall_2
+        )
         rows.append([*(state[name] for name in NAMES), *judged, missing, *made_up])
     names = (*NAMES, "judged", "modelled", "missing", "made_up_1", "made_up_2")
     return dict(zip(names, np.array(rows, dtype=np.float64).T, strict=True))
@@ -234,7 +237,12 @@ def test_a_stop_owes_what_c_and_f_hat_would_have_asked_for(on_confirmation: bool
     short_1 = track_on(table.tracking, was.tracking, was.command_1) - was.command_1
     short_2 = 0.0
     if on_confirmation:
-        drive = transfer(was.bumpless_transfer, compensated_output(table, was))
+        drive = transfer(
+            was.bumpless_transfer,
+            compensated_output(
+                table, was.loss_model, was.echoes, lost_command(was.fault_state, was.command_1)
+            ),
+        )
         short_2 = advance(table.compensator.filter, was.compensator.filter, drive) - was.command_2
         assert short_2 != 0.0
     advance(table.estimator.channel_1, was.shortfall_1, short_1)

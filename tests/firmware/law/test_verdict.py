@@ -13,8 +13,9 @@ from firmware_model.law import controller
 from firmware_model.law.layout import Table
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import Records
+from firmware_model.law.supervision.signatures import DRIFT_ROW, OFFSET_ROW
 from firmware_model.law.supervision.verdict import judge, other_car_evidence, torque_evidence
-from tests.firmware.law.cases import DESIGN, TICK_S, changed, covariance_of, other_cars
+from tests.firmware.law.cases import DESIGN, ROW, TICK_S, changed, covariance_of, other_cars
 
 pytestmark = pytest.mark.every_case  # a case each of few lines
 
@@ -38,8 +39,17 @@ def judged(state: Any, **evidence: float) -> Verdict:
     state.hypotheses.signatures.jump = 5.0  # enough for a bias
     for name, value in evidence.items():
         state.hypotheses.evidence[places[name]] = value
-    judge(TABLES[0], state)
+    judge_in(state)
     return Verdict(state.hypotheses.verdict)
+
+
+def judge_in(state: Any) -> None:
+    """The verdict on the evidence that is there; no witness speaks."""
+    lost, test = state.fault_state == FaultState.CONFIRMED, state.sequential_test
+    judge(
+        TABLES[0], state.hypotheses, state.mismatch, state.echoes, state.witness,
+        False, lost, test.evidence,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -124,7 +134,7 @@ def test_what_comes_after_the_end_of_a_fault_is_another_whatever_its_sign() -> N
     """Of an offset that has ended no size is kept, which the next could be the end of."""
     state, verdicts = state_of(), []
     for size in (20.0, -20.0, 20.0):
-        state.hypotheses.signatures.torque_offset.candidate.size_now = size
+        state.hypotheses.signatures.rows[OFFSET_ROW].candidate.size_now = size
         verdicts.append(judged(state, offset=30.0))
     assert verdicts == [Verdict.TORQUE_OFFSET, Verdict.NOTHING, Verdict.TORQUE_OFFSET]
 
@@ -160,13 +170,14 @@ def test_the_opposite_at_the_same_place_is_the_end_of_a_fault(
     named = Verdict[then[0].replace("biased", "wrong").upper()]
     state = state_of()
     for name, size in (first, then):
-        candidate = state.hypotheses.signatures[name].candidate
-        candidate["size_now"], state.hypotheses.signatures.ramp = size, -1.0
+        candidate = state.hypotheses.signatures.rows[ROW[name]].candidate
+        state.hypotheses.signatures.rows[DRIFT_ROW].ramp = -1.0
+        candidate["size_now"] = size
         verdict = judged(state, **{short[name]: 30.0})
         assert not candidate["size_now"]  # its onset is yet to come
     assert verdict == (Verdict.NOTHING if gone else named)
     if gone:  # and the next one is another
-        state.hypotheses.signatures[then[0]].candidate["size_now"] = then[1]
+        state.hypotheses.signatures.rows[ROW[then[0]]].candidate["size_now"] = then[1]
         assert judged(state, **{short[then[0]]: 30.0}) == named
 
 
@@ -187,14 +198,14 @@ def test_a_bias_begins_with_a_jump(jump: float, verdict: str) -> None:
     state = state_of()
     state.hypotheses.signatures.jump = jump
     state.hypotheses.evidence[BIASED] = 90.0
-    judge(TABLES[0], state)
+    judge_in(state)
     assert Verdict(state.hypotheses.verdict).name == verdict
 
 
 def test_of_another_fault_no_jump_is_asked() -> None:
     state = state_of()
     state.hypotheses.evidence[OFFSET] = 90.0
-    judge(TABLES[0], state)
+    judge_in(state)
     assert state.hypotheses.verdict == Verdict.TORQUE_OFFSET
 
 
@@ -246,7 +257,9 @@ def with_learnt_car(tables: Records[Table], lost: bool) -> Any:
 def test_of_a_confirmed_loss_the_evidence_is_how_far_its_share_is_from_none() -> None:
     state = with_learnt_car(TABLES, lost=True)
     variance = covariance_of(state.mismatch)[0, 0]
-    assert torque_evidence(TABLES[0], state) == pytest.approx(0.5 * 0.6**2 / variance)
+    assert torque_evidence(
+        TABLES[0], state.mismatch, state.sequential_test, True, 0.6
+    ) == pytest.approx(0.5 * 0.6**2 / variance)
 
 
 @pytest.mark.parametrize(
@@ -260,7 +273,8 @@ def test_before_that_it_is_that_of_the_share_which_explains_most(
     state = with_learnt_car(TABLES, lost=False)
     test = state.sequential_test
     test.correlation, test.information = correlation, information
-    assert torque_evidence(TABLES[0], state) == pytest.approx(evidence)
+    found = torque_evidence(TABLES[0], state.mismatch, test, False, 0.6)
+    assert found == pytest.approx(evidence)
 
 
 @pytest.mark.parametrize("clearly", [1.0, 0.01])
@@ -272,4 +286,4 @@ def test_another_car_is_told_by_the_direction_in_which_it_differs_most_clearly(
     cars = slice(2, 2 + int(TABLES[0].other_cars.n))
     variances = np.diag(covariance_of(state.mismatch))[cars]
     expected = max(0.5 * np.asarray(state.mismatch.theta)[cars] ** 2 / variances)
-    assert other_car_evidence(TABLES[0], state) == pytest.approx(expected)
+    assert other_car_evidence(TABLES[0], state.mismatch) == pytest.approx(expected)

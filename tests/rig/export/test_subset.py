@@ -29,12 +29,16 @@ import numpy as np
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
 from typing import Annotated
-from firmware_model.law.structs import FloatArray, Struct
+from firmware_model.law.structs import FloatArray, Records, Struct
 
 OTHER = 0.1
 MANY, HUGE = 7, 2**32
 NOTHING = math.nan
 ANNOTATED: int = 3
+class Row(Struct):
+    k: Annotated[int, "1", "an integer", (0, 2)]
+    v: Annotated[float, "1", "a number"]
+
 class State(Struct):
     a: Annotated[float, "1", "a number"]
     n: Annotated[int, "1", "an integer"]
@@ -42,6 +46,18 @@ class State(Struct):
     begun: Annotated[int, "1", "an integer that begins with zero", (1, 4)]
     list: Annotated[FloatArray, "1", "an array", (4,)]
     grid: Annotated[FloatArray, "1", "a matrix", (4, 2)]
+    rows: Annotated[Records[Row], "1", "structs", (3,)]
+
+@firmware
+def clear(rows: Records[Row]) -> None:
+    for i in range(3):
+        row = rows[i]
+        row.v = 0.0
+
+@firmware
+def lift(row: Row) -> float:
+    row.v += real(1.0, row.v)
+    return row.v
 
 @firmware
 def count(state: State) -> float:
@@ -147,6 +163,16 @@ REFUSED = {
     "y = np.float64(x)": "np.float64(x): must be a function of the target",
     "y = [x]": "[x]: the subset has no such thing",
     "y = (lambda z: z)(x)": "must be a function of the target",
+    "y = state.rows.a": "state.rows.a: an array of 3 structs lines_row has no such field",
+    "state.rows[3].v = x": "state.rows[3]: index 3 must be from 0 to 2",
+    "state.rows[:] = x": "state.rows[:] is an array of 3 structs lines_row: must have an index",
+    "state.rows[0] = x": "state.rows[0] gets a real number: must be the struct lines_row",
+    "for i in range(4):\n        state.rows[i].v = x": "state.rows[i]: index 3 is possible",
+    "y = state.list[state.rows[state.of_table].k]": "state.rows[state.of_table]: index 4 is",
+    "state.rows[1].k = 3": "can be beyond its declared range: must be from 0 to 2",
+    "for i in range(3):\n        if state.rows[i].k < 2:\n            k = state.rows[2 - i].k\n"
+    "            state.rows[k + 1].v = x": "index 3 is possible",
+    "y = state.rows[0].v + lift(state.rows[0])": "lift(state.rows[0]) changes something",
     "y = state.b": "the struct lines_state has no such field",
     "y = unknown": "unknown: must be a name of this function, or a number of the module",
     "y = state.grid[1]": "state.grid[1]: must have an index for each of (4, 2)",
@@ -277,11 +303,11 @@ OF_ITSELF = r"lines\.Other\.wrong: must not contain Other, which contains it"
         ('Annotated[float, "1", "a", (0, 4)]', 4, NOT_A_FIELD),
         ('Annotated[int, "1", "a", (4, 0)]', 4, NOT_A_FIELD),
         ('Annotated[FloatArray, "1", "a", (0,)]', 4, NOT_A_FIELD),
-        (
-            'Annotated["Other", "1", "a"]',
-            4,
-            r"lines\.Other\.wrong: must not contain Other, which contains it",
-        ),
+        ('Annotated[Records[Row], "1", "a", (0,)]', 4, NOT_A_FIELD),
+        ('Annotated[Records[Row], "1", "a", (3, 2)]', 4, NOT_A_FIELD),
+        ('Annotated[Records[float], "1", "a", (3,)]', 4, NOT_A_FIELD),
+        ('Annotated[Records["Other"], "1", "a", (3,)]', 4, OF_ITSELF),
+        ('Annotated["Other", "1", "a"]', 4, OF_ITSELF),
         ('Annotated["Unknown", "1", "a"]', 2, r"name 'Unknown' is not defined"),
     ],
 )
@@ -348,6 +374,9 @@ def test_signatures_that_c_has_not_are_refused(
         "if not (x >= 0.0 and x < 4.0):\n        return\n    y = state.list[min(int(x), 3)]",
         "y = state.list[choose(state, 2)] + state.list[choose(state, 3)]",
         "for i in range(2 if x > 0.0 else 3):\n        state.list[i] = x",
+        "clear(state.rows)\n    y = lift(state.rows[1])",
+        "for i in range(3):\n        row = state.rows[i]\n        row.v = state.list[row.k]",
+        "row = state.rows[1]\n    row.k = 2\n    y = state.rows[row.k].v",
         "y = state.list[1:][0]", "_ = x", "_ = count(state)", "s = state\n    s = s\n    s.a = x",
         "low = state.of_table < 4 and state.list[state.of_table] > x",
     ],
@@ -356,7 +385,7 @@ def test_what_is_inside_is_not(translate: Translate, line: str) -> None:
     compile_in(translate(f"@firmware\ndef f(state: State, x: float) -> None:\n    {line}\n"))
 
 
-class Checked(list[float]):
+class Checked(list[Any]):
     """An array as C has it, without an element before the first."""
 
     def __getitem__(self, at: Any) -> Any:
@@ -369,7 +398,21 @@ class Checked(list[float]):
 
 
 INTEGERS = st.recursive(
-    st.sampled_from(["k", "m", "state.n", "state.of_table", "0", "1", "2", "3", "int(x)"]),
+    st.sampled_from(
+        [
+            "k",
+            "m",
+            "state.n",
+            "state.of_table",
+            "state.rows[0].k",
+            "state.rows[m].k",
+            "0",
+            "1",
+            "2",
+            "3",
+            "int(x)",
+        ]
+    ),
     lambda of: st.one_of(
         st.tuples(of, st.sampled_from(["+", "-", "*", "%"]), of).map(
             lambda each: f"({each[0]} {each[1]} {each[2]})"
@@ -408,6 +451,7 @@ BODIES = st.recursive(
             lambda each: [f"{each[0]} = {each[1]}"]
         ),
         INTEGERS.map(lambda at: [f"state.list[{at}] = x"]),
+        st.tuples(INTEGERS, INTEGERS).map(lambda each: [f"state.rows[{each[0]}].k = {each[1]}"]),
         st.just(["change(state)"]),
     ),
     lambda of: st.one_of(
@@ -441,7 +485,8 @@ def test_what_is_translated_never_leaves_its_array(
             reject()
     names: dict[str, Any] = {}
     exec("def firmware(f):\n    return f\n" + (HEADER + text).replace(COMPILED, ""), names)
-    state = SimpleNamespace(a=0.0, n=0, list=Checked([0.0] * 4))
+    rows = Checked(SimpleNamespace(k=0, v=0.0) for _ in range(3))
+    state = SimpleNamespace(a=0.0, n=0, list=Checked([0.0] * 4), rows=rows)
     for of_table, x in runs:
         state.of_table, state.a = of_table, x
         names["f"](state, x)
