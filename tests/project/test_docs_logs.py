@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from can_rig.assessment.tuning import search
+from can_rig.assessment.tuning.candidate import grid
 from can_rig.cli.main import main
 from tests.helpers import decoded
 from tests.project.pages import ROOT, TUTORIALS, blocks, command_lines, text_of
@@ -99,8 +99,8 @@ def test_the_commands_of_the_readme(folder: Path) -> None:
 def test_a_tutorial_runs_as_printed(
     name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    every = search.grid  # tests/rig/assessment searches the whole grid
-    monkeypatch.setattr(search, "grid", lambda scenario: every(scenario)[::12])
+    few = "can_rig.assessment.tuning.search.grid"  # tests/rig/assessment searches the whole grid
+    monkeypatch.setattr(few, lambda scenario: grid(scenario)[::12])
     follow(text_of(f"docs/{name}"))
     assert {path.name for path in folder.glob("*.html")} == set(
         re.findall(r"--out (\S+\.html)", text_of(f"docs/{name}"))
