@@ -52,14 +52,14 @@ from firmware_model.law.supervision.corroboration import settle_corroboration
 from firmware_model.law.supervision.decision import (
     CLEAR,
     CONFIRMED,
-    compensated_output,
     decide,
+    missing_by_loss,
     restart_test,
     set_aside,
     show_acting_commands,
     withdraw_loss,
 )
-from firmware_model.law.supervision.echoes import advance_echoes, settle_echoes
+from firmware_model.law.supervision.echoes import advance_echoes, says_lost, settle_echoes
 from firmware_model.law.supervision.knowledge import (
     known_offset,
     knows_loss,
@@ -298,7 +298,8 @@ def witness(table: Table, state: State, y: float, model_output: float) -> None:
     if own.denied > before:
         set_aside(table, state)
         turn_to_witness(state.prediction, own.difference)
-    if state.fault_state == CONFIRMED and refutes(table.witness, own):
+    told = says_lost(table.echoes.actuator_1, state.echoes.channel_1)
+    if state.fault_state == CONFIRMED and refutes(table.witness, own) and not told:
         state.prediction.difference -= missing_now(table, state)
         withdraw_loss(table, state)
         forget_loss(own)
@@ -374,7 +375,7 @@ def advance_models(table: Table, state: State, short_1: float, short_2: float) -
     advance_candidate(table, state.sequential_test, model, command_1)
     advance_other_cars(table, state.other_cars, model.measured, command_2)
     advance_signatures(table, found.signatures, heard, state.other_cars.command_2)
-    advance_echoes(table, heard, model, command_1, command_2)
+    advance_echoes(table, heard, model, command_1, command_2, state.fault_state == CONFIRMED)
     advance_witness(table, state.witness)
     advance_sensor_error(table, found.sensor_error)
     end_tick(table, state, short_1, short_2)
@@ -390,13 +391,6 @@ def missing_now(table: Table, state: State) -> float:
     lost = lost_command(state.fault_state, state.command_1)
     loss, known = state.loss_model, state.mismatch
     return missing_shown(table, loss, known, state.estimator, state.echoes, lost)
-
-
-@firmware
-def missing_by_loss(table: Table, state: State) -> float:
-    """The input of F̂ in this tick: the known missing output."""
-    lost = lost_command(state.fault_state, state.command_1)
-    return compensated_output(table, state.loss_model, state.echoes, lost)
 
 
 @firmware

@@ -13,6 +13,10 @@ late return. A suspicion ends with its candidate and moves no actuator: most fau
 of channel 1 reach ``suspect`` before they contradict the candidate, and a compensation would add to
 their harm.
 
+The echo of channel 1 says at each tick what is missing, whatever the fault. Where the echo
+contradicts the lost share, the law believes the echo instead: no loss is confirmed, and a confirmed
+loss ends.
+
 A fault of the sensor or of channel 2 changes d̂ too. If ``hypotheses`` finds such a fault, the
 suspicion ends. If channel 1 contributes too little to show its loss within ``horizon``, a small d̂
 proves no health, and the state is CANNOT_TELL instead of CLEAR.
@@ -29,7 +33,13 @@ from firmware_model.law.structs import Struct
 from firmware_model.law.supervision import echoes, likelihood_ratio, loss_model, verdict
 from firmware_model.law.supervision.bumpless_transfer import begin_transfer
 from firmware_model.law.supervision.corroboration import follow_residual, torque_waits
-from firmware_model.law.supervision.echoes import Echo, known_output, says_lost
+from firmware_model.law.supervision.echoes import (
+    Echo,
+    contradicts_share,
+    known_output,
+    says_lost,
+    told_share,
+)
 from firmware_model.law.supervision.frozen import weigh_frozen
 from firmware_model.law.supervision.likelihood_ratio import (
     candidate_shown,
@@ -48,6 +58,7 @@ from firmware_model.law.supervision.loss_model import (
     loss_output,
     loss_shown,
     lost_command,
+    possible_share,
     take_over_candidate,
 )
 from firmware_model.law.supervision.mismatch import innovation, learn_loss, predict_mismatch
@@ -55,13 +66,16 @@ from firmware_model.law.supervision.other_cars import show_other_cars
 from firmware_model.law.supervision.sensor_error import sensor_error_shown
 from firmware_model.law.supervision.signatures import (
     FORCE_ECHO_ROW,
+    TORQUE_ECHO_ROW,
     begin_all,
     keep_before,
     weigh_signatures,
 )
 from firmware_model.law.supervision.verdict import (
     TORQUE_LOST,
+    TORQUE_OFFSET,
     clear_hypotheses,
+    find_by_echo,
     found_elsewhere,
     judge,
     take_evidence,
@@ -133,12 +147,18 @@ def decide(
         table, own, known, heard, torque_evidence(table, known, test, before == CONFIRMED, share)
     )
     waits = torque_waits(table, state.corroboration, heard, seen, test.age)
+    believed = heard.channel_1.believed
     judge(table, own, known, heard, seen, waits, before == CONFIRMED, test.evidence)
+    if heard.channel_1.believed != believed:
+        transfer_to_losses(table, state)
     if found_elsewhere(own):
         state.fault_state = CLEAR
         restart_test(table, state)
     elif before == CONFIRMED:
-        if test.evidence > table.decision.recover:
+        share = known_share(loss, known)
+        if contradicts_share(table.echoes.actuator_1, heard.channel_1, share):
+            hand_over_to_echo(table, state)
+        elif test.evidence > table.decision.recover:
             recover(table, state)
     else:
         look_for_loss(table, state, before, model_1)
@@ -154,7 +174,7 @@ def look_for_loss(table: Table, state: layout.State, before: int, model_1: float
     elif test.evidence > needed and not torque_waits(
         table, state.corroboration, heard, seen, test.age
     ):
-        confirm(table, state)
+        confirm_or_believe(table, state)
     elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
         state.fault_state = SUSPECTED
     else:
@@ -210,10 +230,45 @@ def restart_test(table: Table, state: layout.State) -> None:
 
 
 @firmware
-def confirm(table: Table, state: layout.State) -> None:
-    """Take channel 1 for lost since the start of the candidate."""
-    state.fault_state = CONFIRMED
+def confirm_or_believe(table: Table, state: layout.State) -> None:
+    """Confirm the lost share of channel 1, or believe the echo that contradicts the share."""
+    told, echo = table.echoes.actuator_1, state.echoes.channel_1
     share = lost_share(table.sequential_test, state.sequential_test)
+    if contradicts_share(told, echo, possible_share(share)):
+        share = told_share(told, echo)
+    if share > 0.0 and not contradicts_share(told, echo, possible_share(share)):
+        confirm(table, state, share)
+    else:
+        believe_torque_echo(table, state)
+        transfer_to_losses(table, state)
+        restart_test(table, state)
+        state.fault_state = CLEAR
+
+
+@firmware
+def hand_over_to_echo(table: Table, state: layout.State) -> None:
+    """The echo contradicts the share of the confirmed loss: the echo says what is missing."""
+    before = missing_by_loss(table, state)
+    believe_torque_echo(table, state)
+    clear_loss_model(state.loss_model)
+    difference = missing_by_loss(table, state) - before  # C takes it over, or gives it back
+    state.echoes.between += difference
+    state.echoes.handed += difference
+    withdraw_loss(table, state)
+
+
+@firmware
+def believe_torque_echo(table: Table, state: layout.State) -> None:
+    """Believe the echo of actuator 1 from the onset of its signature on."""
+    own, heard = state.hypotheses, state.echoes
+    row = own.signatures.rows[TORQUE_ECHO_ROW]
+    find_by_echo(table, own, state.mismatch, heard, row, heard.channel_1, TORQUE_OFFSET)
+
+
+@firmware
+def confirm(table: Table, state: layout.State, share: float) -> None:
+    """Take a ``share`` of channel 1 for lost since the start of the candidate."""
+    state.fault_state = CONFIRMED
     take_candidate(table, state, share, real(1.0, share))
 
 
@@ -269,9 +324,15 @@ def transfer_to_losses(table: Table, state: layout.State) -> None:
     loss, heard = state.loss_model, state.echoes
     lost = loss.previous_fading + loss.followed * loss.previous_output
     lost += heard.channel_1.previous - heard.handed
-    command = lost_command(state.fault_state, state.command_1)
-    speed = compensated_output(table, loss, heard, command) - lost
+    speed = missing_by_loss(table, state) - lost
     begin_transfer(table.bumpless_transfer, state.bumpless_transfer, lost, speed)
+
+
+@firmware
+def missing_by_loss(table: Table, state: layout.State) -> float:
+    """The input of F̂ in this tick: the known missing output."""
+    command = lost_command(state.fault_state, state.command_1)
+    return compensated_output(table, state.loss_model, state.echoes, command)
 
 
 @firmware

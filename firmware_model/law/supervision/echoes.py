@@ -14,7 +14,9 @@ believed echo that turns out to be wrong is found by the same signature with the
 
 A motor that still obeys, with an offset, a drift or a delay, can make up for its own error: C takes
 over the part that F̂ carries, as fast as two lags in a row. A motor obeys if the changes of e differ
-from the changes of the modelled output. At the limit of its command the motor has no reserve.
+from the changes of the modelled output. At the limit of its command the motor has no reserve. By
+the time the law believes the echo, C has made up for a slow error already, by the same two lags: F̂
+begins without that part (``told_handed``).
 
 Between two echoes e stays. An echo that stays away for long gives no information.
 """
@@ -79,13 +81,15 @@ class Echo(Struct):
     off: Annotated[float, "command²", "fading Σ e² over the echoes"]
     power: Annotated[float, "command²", "fading Σ output² over the echoes"]
     modelled: Annotated[float, "command", "modelled output at the sample of the last echo"]
-    stray: Annotated[float, "command²", "fading Σ change of e · change of output, since believed"]
+    turned: Annotated[float, "command²", "e · output before - e before · output; 0: one share"]
+    stray: Annotated[float, "command²", "fading Σ change of e · change of output, since faulty"]
     swing: Annotated[float, "command²", "fading Σ (change of output)², likewise"]
     good: Annotated[int, "1", "echoes without a fault, one after another"]
     left: Annotated[int, "tick", "for so long the last echo counts; 0: no echo"]
     believed: Annotated[int, "1", "1: e is known to be missing"]
     known: Annotated[biquad.State, "y", "state of G driven by the believed v"]
     previous: Annotated[float, "y", "its output in the last tick"]
+    told: Annotated[float, "y", "the same of v since the onset of its signature"]
 
 
 class State(Struct):
@@ -96,6 +100,8 @@ class State(Struct):
     index: Annotated[int, "1", "index of the newest output in the rings"]
     between: Annotated[float, "y", "what C has taken over, behind the first lag"]
     handed: Annotated[float, "y", "the same behind the second lag"]
+    told_between: Annotated[float, "y", "what C does of an echo not believed, behind the first lag"]
+    told_handed: Annotated[float, "y", "the same behind the second lag"]
 
 
 @firmware
@@ -107,12 +113,15 @@ def take_echo(constants: Constants, state: State, own: Echo, echo: float, age: f
     moved, keep = modelled - own.modelled, real(0.99, echo)
     own.stray = keep * own.stray + moved * (error - own.error)
     own.swing = keep * own.swing + moved * moved
+    own.turned = error * own.modelled - own.error * modelled
     own.error, own.modelled = error, modelled
     own.missing = half * own.missing + modelled * error
     own.off = half * own.off + error * error
     own.power = half * own.power + modelled * modelled
     own.left = constants.longest
     healthy = real(16.0, echo) * own.off < own.power
+    if healthy or own.good > 0:
+        own.stray = own.swing = 0.0
     own.good = min(own.good + 1, MAX_COUNTED) if healthy else 0
     if works(own, constants.working):
         own.believed = 0
@@ -120,9 +129,12 @@ def take_echo(constants: Constants, state: State, own: Echo, echo: float, age: f
 
 @firmware
 def advance_echoes(
-    table: Table, own: State, model: estimator.State, command_1: float, command_2: float
+    table: Table, own: State, model: estimator.State, command_1: float, command_2: float, lost: bool
 ) -> None:
-    """A tick on: compute the outputs of the next tick; call before ``advance_model``."""
+    """A tick on: compute the outputs of the next tick; call before ``advance_model``.
+
+    ``lost``: whether a loss of channel 1 is confirmed.
+    """
     constants, plant = table.echoes, table.estimator
     if constants.longest == 0:
         return
@@ -144,6 +156,12 @@ def advance_echoes(
         taken = own.channel_1.previous
     own.between += constants.hand_over * (taken - own.between)
     own.handed += constants.hand_over * (own.between - own.handed)
+    told = real(0.0, u1)
+    alone = own.channel_1.believed == 0 and not lost  # F̂ is at rest
+    if alone and obeys(constants.actuator_1, own.channel_1):
+        told = own.channel_1.told
+    own.told_between += constants.hand_over * (told - own.told_between)
+    own.told_handed += constants.hand_over * (own.told_between - own.told_handed)
 
 
 @firmware
@@ -158,7 +176,7 @@ def advance_echo(
     if own.left > 0:
         own.left -= 1
     if own.left == 0:
-        own.error = 0.0
+        own.error = own.told = 0.0
 
 
 @firmware
@@ -206,9 +224,9 @@ def believe(
     for i in range(table.mismatch.n):
         known.theta[i] -= sign * row.explained[i]
     add_signal(table.mismatch.whitener, known.white.fading, sign, row.white)
+    own.previous += sign * own.told
     own.believed = 1 - own.believed
     own.good = 0
-    own.stray = own.swing = 0.0
 
 
 @firmware
@@ -218,6 +236,28 @@ def says_lost(constants: Actuator, own: Echo) -> bool:
     shows = own.left > 0 and own.power > nine * constants.least  # so a quarter is clear of noise
     lost: bool = shows and own.missing > quarter * own.power
     return lost
+
+
+@firmware
+def contradicts_share(constants: Actuator, own: Echo, share: float) -> bool:
+    """Whether the last echo shows a fault that a loss of ``share`` explains less than half."""
+    rest, quarter = own.error - share * own.modelled, real(0.25, own.error)
+    rest = rest * rest
+    less = rest > quarter * own.error * own.error and rest > constants.least
+    contradicts: bool = confesses(constants, own) and less
+    return contradicts
+
+
+@firmware
+def told_share(constants: Actuator, own: Echo) -> float:
+    """The lost share that the last two echoes report; 0 where e or its changes show no share."""
+    none, quarter = real(0.0, own.error), real(0.25, own.error)
+    if not abs(own.turned) < quarter * abs(own.error * own.modelled):
+        return none
+    rest = own.error * own.swing - own.stray * own.modelled
+    if own.swing > constants.least and abs(rest) > quarter * abs(own.error) * own.swing:
+        return none
+    return min(max(own.error / own.modelled, none), real(1.0, own.error))
 
 
 @firmware
@@ -249,7 +289,7 @@ def settle_echoes(constants: Constants, own: State, command_1: float, command_2:
     """The actuators have followed the present commands for long; no echo has come."""
     settle_echo(constants.actuator_1, own.channel_1, command_1)
     settle_echo(constants.actuator_2, own.channel_2, command_2)
-    own.between = own.handed = 0.0
+    own.between = own.handed = own.told_between = own.told_handed = 0.0
 
 
 @firmware
@@ -258,6 +298,6 @@ def settle_echo(constants: Actuator, own: Echo, command: float) -> None:
     settle_whitener(constants.stage, own.stage, command)
     own.outputs[:] = own.modelled = command
     own.known.accumulators[:] = 0.0
-    own.error = own.before = own.missing = own.off = own.power = own.previous = 0.0
-    own.stray = own.swing = 0.0
+    own.error = own.before = own.missing = own.off = own.power = own.previous = own.told = 0.0
+    own.stray = own.swing = own.turned = 0.0
     own.good = own.left = own.believed = 0

@@ -16,9 +16,9 @@ from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SHOWN_TICKS
 from firmware_model.law.supervision.bumpless_transfer import release
 from firmware_model.law.supervision.corroboration import settle_corroboration
 from firmware_model.law.supervision.covariance import LOSS_STATES
-from firmware_model.law.supervision.decision import CLEAR, compensated_output, restart_test
+from firmware_model.law.supervision.decision import CLEAR, missing_by_loss, restart_test
 from firmware_model.law.supervision.echoes import KEPT_TICKS
-from firmware_model.law.supervision.loss_model import clear_loss_model, lost_command
+from firmware_model.law.supervision.loss_model import clear_loss_model
 from firmware_model.law.supervision.mismatch import clear_mismatch
 from firmware_model.law.supervision.other_cars import clear_other_cars, show_other_cars
 from firmware_model.law.supervision.prediction import clear_prediction
@@ -96,8 +96,7 @@ def sum_of_models(table: Table, state: State) -> float:
     """Sum of all memories of the commands: not finite if one memory is lost."""
     zero = real(0.0, state.command_1)
     model_1, model_2 = model_output(table.estimator, state.estimator, zero, zero)
-    lost = lost_command(state.fault_state, state.command_1)
-    known = model_1 + model_2 + compensated_output(table, state.loss_model, state.echoes, lost)
+    known = model_1 + model_2 + missing_by_loss(table, state)
     known += missing_output(table.estimator, state.tracking, state.estimator, state.shortfall_2)
     show_other_cars(table, state.other_cars, state.estimator.measured, zero, zero)
     for i in range(table.other_cars.n):

@@ -24,7 +24,7 @@ from firmware_model.law.status import Verdict
 from firmware_model.law.structs import Records, Struct
 from firmware_model.law.supervision import candidate, echoes, mismatch
 from firmware_model.law.supervision.candidate import count_anew, has_failed, start, take_in
-from firmware_model.law.supervision.echoes import missing_command
+from firmware_model.law.supervision.echoes import confesses, missing_command
 
 if TYPE_CHECKING:
     from firmware_model.law.layout import Table
@@ -114,7 +114,9 @@ def weigh_signatures(
             rejected = is_over(own, verdict, rejected, -table.decision.suspect)
         if row.through == THROUGH_M:
             rejected = rejected or fresh > one.candidate.evidence
-        if rejected:
+        if rejected and keeps_onset(row, table.echoes, heard):
+            count_anew(one.candidate)
+        elif rejected:
             begin(one)
         if rejected and row.through == THROUGH_M:  # a bias as well as a ramp begins with this tick
             one.ramp = real(-1.0, innovation)
@@ -123,6 +125,17 @@ def weigh_signatures(
     bias = own.rows[BIAS_ROW].candidate
     if bias.age == 1.0:  # begun now, or by a verdict in the tick before
         own.jump = bias.evidence
+
+
+@firmware
+def keeps_onset(row: Row, constants: echoes.Constants, heard: echoes.State) -> bool:
+    """Whether the onset of a row is sure: a fault that an echo shows, and nobody believes yet."""
+    if row.input == MISSING_1:
+        one = heard.channel_1
+        return one.believed == 0 and confesses(constants.actuator_1, one)
+    other = heard.channel_2
+    unknown = row.input == MISSING_2 and other.believed == 0
+    return unknown and confesses(constants.actuator_2, other)
 
 
 @firmware
@@ -225,9 +238,12 @@ def begin_all(own: State) -> None:
 
 @firmware
 def begin_others(own: State) -> None:
-    """The onset of each but a lost force difference is now; of that fault the evidence is used."""
+    """The onset of each but a lost force difference is now; of that fault the evidence is used.
+
+    What an echo misses began when the echo said so.
+    """
     for i in range(ROWS):
-        if i == FORCE_ROW:
+        if i == FORCE_ROW or i >= TORQUE_ECHO_ROW:
             count_anew(own.rows[i].candidate)
         else:
             begin(own.rows[i])
@@ -251,16 +267,19 @@ def advance_signatures(table: Table, own: State, heard: echoes.State, command_2:
         row, one = table.hypotheses.signatures.rows[i], own.rows[i]
         if is_informed(row, heard):
             put = input_of(row, one, table.echoes, heard, command_2)
-            advance_answer(table.estimator, row, one, put)
+            told = advance_answer(table.estimator, row, one, put)
+            if row.input == MISSING_1:
+                heard.channel_1.told = told
+            elif row.input == MISSING_2:
+                heard.channel_2.told = told
         one.ramp -= real(1.0, command_2)
 
 
 @firmware
-def advance_answer(constants: estimator.Constants, row: Row, own: One, put: float) -> None:
-    """Advance the row's filter by ``put``."""
+def advance_answer(constants: estimator.Constants, row: Row, own: One, put: float) -> float:
+    """Advance the row's filter by ``put``; return its answer to ``put``."""
     if row.through == THROUGH_G1:
-        advance(constants.channel_1, own.answer, put)
-    elif row.through == THROUGH_G2:
-        advance(constants.channel_2, own.answer, put)
-    else:
-        advance(constants.measurement, own.answer, put)
+        return advance(constants.channel_1, own.answer, put)
+    if row.through == THROUGH_G2:
+        return advance(constants.channel_2, own.answer, put)
+    return advance(constants.measurement, own.answer, put)

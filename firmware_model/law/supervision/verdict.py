@@ -51,10 +51,12 @@ from firmware_model.law.supervision.signatures import (
     FORCE_ECHO_ROW,
     FORCE_ROW,
     OFFSET_ROW,
+    ROWS,
     TORQUE_ECHO_ROW,
     Constants as SignaturesConstants,
     State as SignaturesState,
     answers_no_more,
+    begin,
     begin_all,
     begin_others,
     is_informed,
@@ -186,11 +188,11 @@ def judge(
         if ahead and answers_no_more(own.signatures):
             own.verdict = BOTH_LOST
     elif is_reported(force_echo, confirm, most):
-        find_by_echo(table, own, known, force_echo, heard.channel_2, FORCE_LOST)
+        find_by_echo(table, own, known, heard, force_echo, heard.channel_2, FORCE_LOST)
     elif is_reported(torque_echo, confirm, most) and not says_lost(
         table.echoes.actuator_1, heard.channel_1
     ):
-        find_by_echo(table, own, known, torque_echo, heard.channel_1, TORQUE_OFFSET)
+        find_by_echo(table, own, known, heard, torque_echo, heard.channel_1, TORQUE_OFFSET)
     elif world > confirm and world >= most and not apart:
         own.verdict = ANOTHER_CAR if own.verdict == NOTHING else own.verdict
     elif most > confirm and is_clear(table, own, most, second) and not apart:
@@ -281,10 +283,20 @@ def is_reported(row: signatures.One, confirm: float, most: float) -> bool:
 
 @firmware
 def find_by_echo(
-    table: Table, own: State, known: mismatch.State, row: signatures.One, echo: Echo, fault: int
+    table: Table,
+    own: State,
+    known: mismatch.State,
+    heard: echoes.State,
+    row: signatures.One,
+    echo: Echo,
+    fault: int,
 ) -> None:
     """Record that ``echo`` tells the truth about a ``fault``, or no longer does."""
+    if echo.believed == 0 and fault == TORQUE_OFFSET:
+        heard.between += heard.told_between
+        heard.handed += heard.told_handed
     believe(table, known, echo, row.candidate, row.answer)
+    begin(row)
     begin_all(own.signatures)
     own.found_size = 0.0
     own.found = fault
@@ -303,7 +315,7 @@ def believe_with_witness(
     explains = abs(seen.difference + missing) < half * abs(seen.difference)
     shown = seen.left > 0 and seen.witness_off > unsure(table.witness, seen)
     if shown and explains and echo.believed == 0 and says_lost(actuator, echo):
-        find_by_echo(table, own, known, row, echo, TORQUE_OFFSET)
+        find_by_echo(table, own, known, heard, row, echo, TORQUE_OFFSET)
 
 
 @firmware
@@ -403,6 +415,8 @@ def size_of(own: signatures.State, fault: int) -> float:
 @firmware
 def clear_hypotheses(own: State) -> None:
     """Nothing is known."""
+    for i in range(ROWS):
+        begin(own.signatures.rows[i])
     begin_all(own.signatures)
     thaw(own.frozen)
     own.frozen.measurement = own.frozen.expected = own.found_size = 0.0

@@ -17,7 +17,7 @@ from firmware_model.firmware import Answer, Firmware
 from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray
-from firmware_model.law.supervision.echoes import KEPT_TICKS
+from firmware_model.law.supervision.echoes import KEPT_TICKS, contradicts_share, told_share
 from firmware_model.law.supervision.further_sensors import hear
 from firmware_model.law.supervision.verdict import standing
 from tests.firmware.law.cases import CAR, TICK_S, changed
@@ -204,6 +204,93 @@ def test_a_swinging_torque_is_compensated_until_it_works_again() -> None:
     assert peak(answers) > 0.0
     assert verdicts(answers)[-1] in (Verdict.NOTHING, Verdict.ANOTHER_CAR)
     assert abs(answers[-1].command_2) < 0.2 * peak(answers)
+
+
+def offset(torque: float, force: float, _k: int) -> tuple[float, float]:
+    return torque - 20.0, force
+
+
+def swings_fast(torque: float, force: float, k: int) -> tuple[float, float]:
+    return torque + 20.0 * math.sin(0.035 * k), force
+
+
+def drifts_slowly(torque: float, force: float, k: int) -> tuple[float, float]:
+    return torque + min(0.03 * k, 20.0), force
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("acts", [offset, swings_fast, drifts_slowly])
+def test_a_faulty_motor_that_moves_has_lost_no_share_of_its_command(acts: Any) -> None:
+    """The force carries what the echo misses, 20 N m at most, and begins without a jump."""
+    answers = drive(table_of(), acts, honest)
+    assert FaultState.CONFIRMED not in states(answers)
+    assert {Verdict.TORQUE_OFFSET, Verdict.TORQUE_LOST} & set(verdicts(answers))
+    whole = abs(CAR.g1.dc_gain / CAR.g2.dc_gain) * 20.0
+    force = np.array([answer.command_2 for answer in answers])
+    assert 0.0 < np.abs(force).max() < 1.5 * whole
+    assert np.abs(np.diff(force)).max() < 0.2 * whole
+
+
+@pytest.mark.compiled
+def test_an_echo_that_contradicts_a_confirmed_loss_takes_over_without_a_jump() -> None:
+    def comes_back(torque: float, force: float, k: int) -> tuple[float, float]:
+        return 0.0 if k < 150 else torque - 25.0, force
+
+    answers = drive(table_of(), comes_back, honest, ticks=END + 300)
+    found = confirmed_after(answers) + FAULT
+    end = found + states(answers)[found:].index(FaultState.CLEAR)
+    assert 0 < end - (FAULT + 150) <= 10  # the second echo
+    assert FaultState.CONFIRMED not in states(answers)[end:]
+    assert set(verdicts(answers)[end + 1 :]) <= {Verdict.TORQUE_OFFSET, Verdict.TORQUE_LOST}
+    changes = np.abs(np.diff([answer.command_2 for answer in answers]))
+    assert changes[end - 1 :].max() < 60.0 < changes[:end].max()
+
+
+@pytest.mark.parametrize(
+    ("echo", "share", "contradicts"),
+    [
+        (0.0, 1.0, False),  # dead
+        (0.0, 0.6, False),  # dead, the share learnt in another car
+        (0.0, 0.4, True),
+        (50.0, 0.5, False),
+        (50.0, 1.0, True),
+        (130.0, 0.5, True),  # more than the command
+        (100.0, 1.0, False),  # reports no fault: proves nothing
+    ],
+)
+def test_an_echo_contradicts_a_share_that_explains_less_than_half(
+    echo: float, share: float, contradicts: bool
+) -> None:
+    table = table_of()
+    state = controller.init(table)[0]
+    state.echoes.channel_1.outputs[:] = 100.0
+    hear(table, state, 1.0, echo, 0.0)
+    own = state.echoes.channel_1
+    assert contradicts_share(table.echoes.actuator_1, own, share) == contradicts
+
+
+@pytest.mark.parametrize(
+    ("told", "share"),
+    [
+        ([(100.0, 50.0), (100.0, 50.0)], 0.5),
+        ([(100.0, 20.0), (120.0, 24.0), (150.0, 30.0)], 0.8),
+        ([(100.0, 0.0), (-60.0, 0.0)], 1.0),  # dead
+        ([(100.0, 40.0), (100.0, 40.0)], 0.6),  # off by 60, which a steady command does not show
+        ([(100.0, 40.0), (140.0, 80.0), (160.0, 100.0)], 0.0),  # off by 60
+        ([(100.0, 40.0), (100.0, 160.0)], 0.0),  # swings
+        ([(100.0, 100.0), (100.0, 50.0)], 0.0),  # faulty since this echo
+        ([(100.0, 150.0), (100.0, 150.0)], 0.0),  # more than the command
+    ],
+)
+def test_an_echo_tells_a_share_where_e_and_its_changes_follow_the_output(
+    told: list[tuple[float, float]], share: float
+) -> None:
+    table = table_of()
+    state = controller.init(table)[0]
+    for output, echo in [(100.0, 100.0), (100.0, 100.0), *told]:
+        state.echoes.channel_1.outputs[:] = output
+        hear(table, state, 1.0, echo, 0.0)
+    assert told_share(table.echoes.actuator_1, state.echoes.channel_1) == pytest.approx(share)
 
 
 @pytest.mark.compiled
