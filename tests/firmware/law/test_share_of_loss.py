@@ -18,7 +18,7 @@ from firmware_model.discretisation.tustin import zoh
 from firmware_model.law import controller
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
-from firmware_model.law.supervision.decision import confirm, recover, restart_test
+from firmware_model.law.supervision.decision import confirm_or_believe, recover, restart_test
 from firmware_model.law.supervision.likelihood_ratio import (
     advance_candidate,
     candidate_shown,
@@ -87,7 +87,7 @@ def test_a_car_that_is_the_model_is_that_again_once_its_loss_is_confirmed(share:
     table, state = learner()
     learn(table, state, share * W, 0.8)
     assert np.abs(state.mismatch.theta).max() > 0.1
-    confirm(table, state)
+    confirm_or_believe(table, state)
     assert state.fault_state == FaultState.CONFIRMED
     assert state.loss_model.share == pytest.approx(share, rel=1e-6)
     np.testing.assert_allclose(state.mismatch.theta, 0.0, atol=1e-6)
@@ -101,7 +101,7 @@ def test_a_car_that_is_the_model_is_that_again_once_its_loss_is_confirmed(share:
     np.testing.assert_allclose(state.mismatch.theta, 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("happens", [confirm, recover])
+@pytest.mark.parametrize("happens", [confirm_or_believe, recover])
 @pytest.mark.parametrize(
     ("information", "suspect", "variance"),
     [
