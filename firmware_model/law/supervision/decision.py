@@ -234,9 +234,11 @@ def confirm_or_believe(table: Table, state: layout.State) -> None:
     """Confirm the lost share of channel 1, or believe the echo that contradicts the share."""
     told, echo = table.echoes.actuator_1, state.echoes.channel_1
     share = lost_share(table.sequential_test, state.sequential_test)
-    if contradicts_share(told, echo, possible_share(share)):
+    contradicted = contradicts_share(told, echo, possible_share(share))
+    if contradicted:
         share = told_share(told, echo)
-    if share > 0.0 and not contradicts_share(told, echo, possible_share(share)):
+        contradicted = not share > 0.0 or contradicts_share(told, echo, share)
+    if not contradicted:
         confirm(table, state, share)
     else:
         believe_torque_echo(table, state)
