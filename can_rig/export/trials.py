@@ -48,6 +48,7 @@ from firmware_model.law.supervision.signatures import (
     FORCE_ECHO_ROW,
     FORCE_ROW,
     OFFSET_ROW,
+    ROWS,
     TORQUE_ECHO_ROW,
 )
 from firmware_model.law.supervision.verdict import FORCE_LOST, TORQUE_OFFSET
@@ -257,6 +258,7 @@ def random_table(
     estimator.shown_ticks_1 = estimator.latency_ticks + estimator.dead_ticks_1
     estimator.shown_ticks_2 = estimator.latency_ticks + estimator.dead_ticks_2
     cars.n = random.integers(0, 5)
+    table.hypotheses.signatures.n = random.choice([TORQUE_ECHO_ROW, ROWS])
     for row in table.hypotheses.signatures.rows:
         row.fault, row.through, row.input = random.integers((1, 0, 0), (8, 3, 5))
     table.mismatch.whitener.n = random.integers(0, WHITENER_SECTIONS + 1)

@@ -43,6 +43,7 @@ from firmware_model.law.supervision.signatures import (
     THROUGH_G1,
     THROUGH_G2,
     THROUGH_M,
+    TORQUE_ECHO_ROW,
 )
 from firmware_model.law.supervision.witness import Constants as WitnessConstants
 
@@ -71,6 +72,7 @@ def fill_hypotheses(table: Table, target: Target) -> None:
         (Verdict.TORQUE_OFFSET, THROUGH_G1, MISSING_1, LEAST_SHARE, MOST_SHARE),
         (Verdict.FORCE_LOST, THROUGH_G2, MISSING_2, LEAST_SHARE, MOST_SHARE),
     )
+    signatures.n = len(hypotheses) if target.echoes is not None else TORQUE_ECHO_ROW
     for row, (fault, through, put, least, most) in zip(signatures.rows, hypotheses, strict=True):
         row.fault, row.through, row.input = fault, through, put
         row.limits.least, row.limits.most = least, most

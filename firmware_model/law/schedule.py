@@ -28,7 +28,7 @@ from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Records, Struct
 from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
 from firmware_model.law.supervision.overflow import is_damaged
-from firmware_model.law.supervision.signatures import ROWS, THROUGH_G1, THROUGH_G2
+from firmware_model.law.supervision.signatures import THROUGH_G1, THROUGH_G2
 from firmware_model.law.supervision.standby import note_speed
 
 if TYPE_CHECKING:
@@ -172,7 +172,8 @@ def turn_models(
     if table.echoes.longest > 0:
         turn(schedule.model.turn_1, own, state.echoes.channel_1.known, at, way)
         turn(schedule.model.turn_2, own, state.echoes.channel_2.known, at, way)
-    for i in range(ROWS):
+    rows = table.hypotheses.signatures.n
+    for i in range(rows):
         row, one = table.hypotheses.signatures.rows[i], state.hypotheses.signatures.rows[i]
         if row.through == OF_G1:
             turn(schedule.model.turn_1, own, one.answer, at, way)

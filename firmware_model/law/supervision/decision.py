@@ -148,11 +148,12 @@ def decide(
 def look_for_loss(table: Table, state: layout.State, before: int, model_1: float) -> None:
     """The fault state of a tick in which no loss is known; ``before``: of the tick before."""
     constants, test, seen = table.decision, state.sequential_test, state.witness
-    waits = torque_waits(table, state.corroboration, state.echoes, seen, test.age)
-    needed = needed_evidence(table, test, state.echoes.channel_1)
+    needed, heard = needed_evidence(table, test, state.echoes.channel_1), state.echoes
     if is_acquitted(table, state.hypotheses):
         state.fault_state = CANNOT_TELL
-    elif test.evidence > needed and not waits:
+    elif test.evidence > needed and not torque_waits(
+        table, state.corroboration, heard, seen, test.age
+    ):
         confirm(table, state)
     elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
         state.fault_state = SUSPECTED

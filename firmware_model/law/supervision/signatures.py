@@ -53,6 +53,7 @@ class Constants(Struct):
     """Constants."""
 
     candidate: Annotated[candidate.Constants, "1", "thresholds of a restart"]
+    n: Annotated[int, "1", "hypotheses in use: those of echoes stand last", (0, ROWS)]
     rows: Annotated[Records[Row], "1", "the hypotheses", (ROWS,)]
 
 
@@ -100,7 +101,7 @@ def weigh_signatures(
     """
     constants, half = table.hypotheses.signatures, real(0.5, innovation)
     fresh = half * innovation * innovation / known.variance
-    for i in range(ROWS):
+    for i in range(constants.n):
         row, one = constants.rows[i], own.rows[i]
         if not is_informed(row, heard):
             if one.candidate.age > 0.0:
@@ -115,9 +116,10 @@ def weigh_signatures(
             rejected = rejected or fresh > one.candidate.evidence
         if rejected:
             begin(one)
-        if rejected and row.through == THROUGH_M:
+        if rejected and row.through == THROUGH_M:  # a bias as well as a ramp begins with this tick
             one.ramp = real(-1.0, innovation)
-            weigh(table, row, one, known, heard, command_2, innovation)
+            shown = output(table.estimator.measurement, one.answer, one.ramp)
+            take_in(table.mismatch, known, one.candidate, row.limits, shown, innovation)
     bias = own.rows[BIAS_ROW].candidate
     if bias.age == 1.0:  # begun now, or by a verdict in the tick before
         own.jump = bias.evidence
@@ -245,7 +247,7 @@ def answers_no_more(own: State) -> bool:
 @firmware
 def advance_signatures(table: Table, own: State, heard: echoes.State, command_2: float) -> None:
     """A tick on, of which ``command_2`` is in the measurement."""
-    for i in range(ROWS):
+    for i in range(table.hypotheses.signatures.n):
         row, one = table.hypotheses.signatures.rows[i], own.rows[i]
         if is_informed(row, heard):
             put = input_of(row, one, table.echoes, heard, command_2)

@@ -51,7 +51,6 @@ from firmware_model.law.supervision.signatures import (
     FORCE_ECHO_ROW,
     FORCE_ROW,
     OFFSET_ROW,
-    ROWS,
     TORQUE_ECHO_ROW,
     Constants as SignaturesConstants,
     State as SignaturesState,
@@ -111,7 +110,7 @@ def take_evidence(
 ) -> None:
     """Note the evidence of each hypothesis in this tick; ``torque`` is that of a lost torque."""
     own.evidence[TORQUE_LOST] = torque
-    for i in range(ROWS):
+    for i in range(table.hypotheses.signatures.n):
         row = table.hypotheses.signatures.rows[i]
         if is_informed(row, heard):
             own.evidence[row.fault] = own.signatures.rows[i].candidate.evidence
