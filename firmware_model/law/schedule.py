@@ -29,12 +29,12 @@ from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Records, Struct
 from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
 from firmware_model.law.supervision.overflow import is_damaged
 from firmware_model.law.supervision.signatures import THROUGH_G1, THROUGH_G2
-from firmware_model.law.supervision.standby import note_speed
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
     from firmware_model.law.core import biquad, shortfall
     from firmware_model.law.layout import Table
+    from firmware_model.law.supervision import standby
 
 
 MAX_SPEEDS = 16
@@ -44,6 +44,7 @@ FILTER = (MAX_SPEEDS, MAX_SECTIONS * 5)
 TURN = (MAX_SPEEDS, SIZE * SIZE)
 GAIN = (MAX_SPEEDS, MAX_SECTIONS * 2)
 EACH = (MAX_SPEEDS,)
+BAND = 0.95  # a car at the lowest speed does not alternate between standby and run
 OF_G1, OF_G2 = THROUGH_G1, THROUGH_G2
 
 
@@ -112,6 +113,16 @@ def change_speed(
     own.place = place
     at = int(place)
     blend(schedule, table, at, place - real(at, place))
+
+
+@firmware
+def note_speed(own: standby.State, speed: float, lowest: float) -> None:
+    """Find out whether a car of this ``speed`` is slower than the ``lowest`` design, m/s."""
+    enters = real(BAND, lowest) * lowest
+    if speed < enters or (own.slow > 0 and speed < lowest):
+        own.slow = 1
+    else:
+        own.slow = 0
 
 
 @firmware

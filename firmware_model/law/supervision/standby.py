@@ -17,8 +17,6 @@ from firmware_model.law.structs import Struct
 if TYPE_CHECKING:
     from firmware_model.law.layout import Table
 
-BAND = 0.95  # a car at the lowest speed does not alternate between standby and run
-
 
 class State(Struct):
     """State."""
@@ -40,13 +38,3 @@ def ticks_left_in_standby(table: Table, own: State) -> float:
     left: float = table.prediction.longest - own.elapsed
     own.elapsed += real(1.0, left)
     return left
-
-
-@firmware
-def note_speed(own: State, speed: float, lowest: float) -> None:
-    """Find out whether a car of this ``speed`` is slower than the ``lowest`` design, m/s."""
-    enters = real(BAND, lowest) * lowest
-    if speed < enters or (own.slow > 0 and speed < lowest):
-        own.slow = 1
-    else:
-        own.slow = 0
