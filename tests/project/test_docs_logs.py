@@ -99,7 +99,7 @@ def test_the_commands_of_the_readme(folder: Path) -> None:
 def test_a_tutorial_runs_as_printed(
     name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    few = "can_rig.assessment.tuning.search.grid"  # tests/rig/assessment searches the whole grid
+    few = "can_rig.assessment.tuning.search.grid"  # the whole grid takes long
     monkeypatch.setattr(few, lambda scenario: grid(scenario)[::12])
     follow(text_of(f"docs/{name}"))
     assert {path.name for path in folder.glob("*.html")} == set(

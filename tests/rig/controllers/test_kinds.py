@@ -178,7 +178,8 @@ def test_a_further_sensor_has_its_name_before_its_first_frame(own: Path, tmp_pat
         "    assert (heard == heard) == (age == age)\n"
         "    return 5.0 * (inputs.reference - inputs.measurement), 100.0 * (heard == heard)\n"
     )
-    scenario = load("cluster", ["controller.kind=listens:step", "fault.kind=none", *SHORT[:1]])
+    settings = ["controller.kind=listens:step", "fault.kind=none", "budget.box=0", *SHORT[:1]]
+    scenario = load("cluster", settings)
     assert peer_of(scenario).step(Inputs(1.0, 0.0))[:2] == (5.0, 0.0)
     said = "\n".join(check_stability(scenario).notes)
     assert "margins: of the controller without what the further sensors say" in said
@@ -475,14 +476,16 @@ def test_a_controller_that_computes_with_its_limits_has_margins(own: Path) -> No
     (own / "plain.py").write_text(
         "def plain(inputs): return 20.0 * (inputs.reference - inputs.measurement), 0.0\n"
     )
-    found, expected = (check_stability(of(kind)) for kind in ("shares:Shares", "plain:plain"))
+    found, expected = (
+        check_stability(of(kind, "budget.box=0")) for kind in ("shares:Shares", "plain:plain")
+    )
     assert found.healthy.spectral_radius == pytest.approx(expected.healthy.spectral_radius)
     assert [str(each) for each in found.findings] == [str(each) for each in expected.findings]
 
 
 def test_the_steps_of_a_sensor_are_not_too_coarse_for_a_loop_that_a_loss_opens() -> None:
     """Noise walks an open integrator away without end, whatever the step of the frame."""
-    margins = check_stability(of("pi"))
+    margins = check_stability(of("pi", "budget.box=0"))
     assert np.isinf(margins.faulted.noise_to_command_1)
     assert list(margins.network_notes) == []
 
