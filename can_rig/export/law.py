@@ -14,7 +14,7 @@ from can_rig.export.source import REAL, Record, Sources, Type
 from can_rig.export.subset import Program
 from firmware_model.law import controller, layout, schedule
 from firmware_model.law.structs import Precision
-from firmware_model.law.supervision import further_sensors, knowledge, standby
+from firmware_model.law.supervision import further_sensors, knowledge
 
 ENTRIES: Final = ("start_up", "step", "reset")
 """Entry points called by a node: each function takes table and state, then real numbers."""
@@ -27,9 +27,6 @@ SAVE: Final = "save"
 
 CHANGE_SPEED: Final = "change_speed"
 """Entry point called before a step if the speed of the car changes; see ``schedule``."""
-
-NOTE_SPEED: Final = "note_speed"
-"""Called by ``CHANGE_SPEED``; see ``standby``."""
 
 BLENDS: Final = "blends"
 HEARS: Final = "hears"
@@ -120,8 +117,8 @@ def _records(sources: Sources, *memory: object) -> list[Record]:
     return [Record(struct) for struct in found if struct is not None]
 
 
-def law_program(blends: bool = False) -> Program:
-    """The typed program of the control law; ``blends``: with all that ``speed_program`` calls.
+def law_program() -> Program:
+    """The typed program of the control law.
 
     Raises:
         ExportError: something is outside the subset.
@@ -135,9 +132,6 @@ def law_program(blends: bool = False) -> Program:
     hear = program.sources.module(further_sensors.__name__).functions[HEAR]
     program.add(hear, [*memory, REAL, REAL, REAL])
     program.add(program.sources.module(knowledge.__name__).functions[SAVE], memory[1:])
-    if blends:
-        note = program.sources.module(standby.__name__).functions[NOTE_SPEED]
-        program.add(note, [*_records(program.sources, standby.State), REAL, REAL])
     return program
 
 
@@ -167,16 +161,14 @@ def law_files(precision: Precision, blends: bool = False) -> dict[str, str]:
     Raises:
         ExportError: something is outside the subset.
     """
-    program, entries = law_program(blends), {f"controller_{name}" for name in ENTRIES}
-    entries.add(f"further_sensors_{HEAR}")
-    entries.add(f"knowledge_{SAVE}")
-    if blends:
-        entries.add(f"standby_{NOTE_SPEED}")
-    memory = _records(program.sources, layout.Table, layout.State)
-    found = c_files(program, [each.struct for each in memory], entries, precision)
     if blends:
         program, entries = speed_program(), {f"schedule_{CHANGE_SPEED}"}
         memory = _records(program.sources, schedule.Constants, schedule.State)
-        of_speed = c_files(program, [each.struct for each in memory], entries, precision)
-        found |= {name: of_speed[name] for name in ("schedule.h", "schedule.c")}
+        found = c_files(program, [each.struct for each in memory], entries, precision)
+        return law_files(precision) | {name: found[name] for name in ("schedule.h", "schedule.c")}
+    program, entries = law_program(), {f"controller_{name}" for name in ENTRIES}
+    entries.add(f"further_sensors_{HEAR}")
+    entries.add(f"knowledge_{SAVE}")
+    memory = _records(program.sources, layout.Table, layout.State)
+    found = c_files(program, [each.struct for each in memory], entries, precision)
     return found | number_headers(precision)
