@@ -218,7 +218,6 @@ def drifts_slowly(torque: float, force: float, k: int) -> tuple[float, float]:
     return torque + min(0.03 * k, 20.0), force
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("acts", [offset, swings_fast, drifts_slowly])
 def test_a_faulty_motor_that_moves_has_lost_no_share_of_its_command(acts: Any) -> None:
     """The force carries what the echo misses, 20 N m at most, and begins without a jump."""
@@ -231,7 +230,6 @@ def test_a_faulty_motor_that_moves_has_lost_no_share_of_its_command(acts: Any) -
     assert np.abs(np.diff(force)).max() < 0.2 * whole
 
 
-@pytest.mark.compiled
 def test_an_echo_that_contradicts_a_confirmed_loss_takes_over_without_a_jump() -> None:
     def comes_back(torque: float, force: float, k: int) -> tuple[float, float]:
         return 0.0 if k < 150 else torque - 25.0, force
@@ -269,6 +267,7 @@ def test_an_echo_contradicts_a_share_that_explains_less_than_half(
     assert contradicts_share(table.echoes.actuator_1, own, share) == contradicts
 
 
+@pytest.mark.every_case  # a case each of few lines
 @pytest.mark.parametrize(
     ("told", "share"),
     [
