@@ -359,6 +359,9 @@ def random_state(
     state.echoes.index = random.integers(0, KEPT_TICKS)
     for echo in (state.echoes.channel_1, state.echoes.channel_2):
         echo.left, echo.believed, echo.good = reported(random)
+        if random.random() < 0.1:  # of a motor that has lost a share
+            echo.error = echo.modelled * random.uniform(0.0, 1.2)
+            echo.turned = echo.stray = echo.swing = 0.0
     fill_witness(random, table, state)
     state.hypotheses.verdict = random.choice([TORQUE_OFFSET, FORCE_LOST] * 4 + [*Verdict])
     state.monitor.reason = random.choice([0, 0, 0, 0, COMPENSATION_OFF, SWINGING])

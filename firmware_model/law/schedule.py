@@ -190,11 +190,11 @@ def turn_models(
             turn(schedule.model.turn_1, own, one.answer, at, way)
         elif row.through == OF_G2:
             turn(schedule.model.turn_2, own, one.answer, at, way)
-    cars, n = state.other_cars, table.other_cars.n
-    if n > 0:
+    cars, others = state.other_cars, table.other_cars.n
+    if others > 0:
         turn(schedule.model.turn_1, own, cars.model.channel_1, at, way)
         turn(schedule.model.turn_2, own, cars.model.channel_2, at, way)
-    for i in range(n):
+    for i in range(others):
         turn(schedule.cars[i].turn_1, own, cars.cars[i].channel_1, at, way)
         turn(schedule.cars[i].turn_2, own, cars.cars[i].channel_2, at, way)
 
