@@ -360,7 +360,8 @@ def random_state(
     for echo in (state.echoes.channel_1, state.echoes.channel_2):
         echo.left, echo.believed, echo.good = reported(random)
         if random.random() < 0.1:  # of a motor that has lost a share
-            echo.error = echo.modelled * random.uniform(0.0, 1.2)
+            with np.errstate(over="ignore"):
+                echo.error = echo.modelled * random.uniform(0.0, 1.2)
             echo.turned = echo.stray = echo.swing = 0.0
     fill_witness(random, table, state)
     state.hypotheses.verdict = random.choice([TORQUE_OFFSET, FORCE_LOST] * 4 + [*Verdict])
