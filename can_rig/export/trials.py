@@ -27,6 +27,7 @@ from can_rig.export.network_code import frame_bytes
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.network import Network, flagged
 from can_rig.scenario.sensor_settings import SAMPLE_TICKS
+from firmware_model.discretisation.tables import HYPOTHESES
 from firmware_model.firmware import PYTHON_LAW, Law
 from firmware_model.law.core.biquad import output
 from firmware_model.law.layout import State, Table, precision_of
@@ -259,8 +260,10 @@ def random_table(
     estimator.shown_ticks_2 = estimator.latency_ticks + estimator.dead_ticks_2
     cars.n = random.integers(0, 5)
     table.hypotheses.signatures.n = random.choice([TORQUE_ECHO_ROW, ROWS])
-    for row in table.hypotheses.signatures.rows:
-        row.fault, row.through, row.input = random.integers((1, 0, 0), (8, 3, 5))
+    for row, kind in zip(table.hypotheses.signatures.rows, HYPOTHESES, strict=True):
+        row.fault, row.through, row.input = kind
+        if random.random() < 0.1:
+            row.fault, row.through, row.input = random.integers((1, 0, 0), (8, 3, 5))
     table.mismatch.whitener.n = random.integers(0, WHITENER_SECTIONS + 1)
     table.mismatch.n = 0 if random.random() < 0.1 else cars.n + 3
     table.reference_shaper.enabled = random.integers(0, 2)
@@ -359,10 +362,12 @@ def random_state(
     state.echoes.index = random.integers(0, KEPT_TICKS)
     for echo in (state.echoes.channel_1, state.echoes.channel_2):
         echo.left, echo.believed, echo.good = reported(random)
-        if random.random() < 0.1:  # of a motor that has lost a share
+        if random.random() < 0.2:  # of a motor that has lost a share
+            share = random.uniform(0.0, 3.0)
+            echo.turned, echo.swing = 0.0, random.choice([0.0, abs(echo.swing)])
             with np.errstate(over="ignore"):
-                echo.error = echo.modelled * random.uniform(0.0, 1.2)
-            echo.turned = echo.stray = echo.swing = 0.0
+                echo.error = echo.modelled * share
+                echo.stray = echo.swing * share * random.uniform(0.5, 1.5)
     fill_witness(random, table, state)
     state.hypotheses.verdict = random.choice([TORQUE_OFFSET, FORCE_LOST] * 4 + [*Verdict])
     state.monitor.reason = random.choice([0, 0, 0, 0, COMPENSATION_OFF, SWINGING])
@@ -517,6 +522,7 @@ def random_trials(
         drive = random_drive(random, precision, ticks, even) if blends else None
         samples = reals(random, (ticks, 3), precision, even)
         samples[:, 0] = random.choice([1.0, 2.0, 3.0, 3.0, 4.0, 4.0, 0.0], ticks)
+        samples[random.random(ticks) < 0.02, 1] = np.finfo(precision).max
         samples[:, 2] = random.choice([*range(KEPT_TICKS + 1), -1.0, np.nan], ticks)
         trials.append(Trial(tables, states, inputs, samples, drive))
     return trials

@@ -54,6 +54,17 @@ MOTION = 3.0  # deviations of the noise for a moved car
 LEAST_CHANCE = 1e-6  # chance of a repeated number: no sensor is finer
 
 
+HYPOTHESES = (
+    (Verdict.TORQUE_OFFSET, THROUGH_G1, MINUS_ONE),
+    (Verdict.FORCE_LOST, THROUGH_G2, COMMAND_2),
+    (Verdict.SENSOR_WRONG, THROUGH_M, MINUS_ONE),
+    (Verdict.SENSOR_DRIFTING, THROUGH_M, RAMP),
+    (Verdict.TORQUE_OFFSET, THROUGH_G1, MISSING_1),
+    (Verdict.FORCE_LOST, THROUGH_G2, MISSING_2),
+)
+"""The rows of the table: fault, what answers, input for a fault of size 1."""
+
+
 def fill_hypotheses(table: Table, target: Target) -> None:
     """Fill in the constants; the decision and the test have their constants already."""
     constants, signatures = table.hypotheses, table.hypotheses.signatures
@@ -64,18 +75,12 @@ def fill_hypotheses(table: Table, target: Target) -> None:
     signatures.candidate.restart = table.sequential_test.restart
     signatures.candidate.lifetime = table.decision.horizon
     signatures.candidate.promising = table.decision.suspect
-    hypotheses = (  # fault, filter, input for size 1, limits of the size
-        (Verdict.TORQUE_OFFSET, THROUGH_G1, MINUS_ONE, -target.limit_1, target.limit_1),
-        (Verdict.FORCE_LOST, THROUGH_G2, COMMAND_2, LEAST_SHARE, MOST_SHARE),
-        (Verdict.SENSOR_WRONG, THROUGH_M, MINUS_ONE, -math.inf, math.inf),
-        (Verdict.SENSOR_DRIFTING, THROUGH_M, RAMP, -math.inf, math.inf),
-        (Verdict.TORQUE_OFFSET, THROUGH_G1, MISSING_1, LEAST_SHARE, MOST_SHARE),
-        (Verdict.FORCE_LOST, THROUGH_G2, MISSING_2, LEAST_SHARE, MOST_SHARE),
-    )
-    signatures.n = len(hypotheses) if target.echoes is not None else TORQUE_ECHO_ROW
-    for row, (fault, through, put, least, most) in zip(signatures.rows, hypotheses, strict=True):
-        row.fault, row.through, row.input = fault, through, put
-        row.limits.least, row.limits.most = least, most
+    share, any_size = (LEAST_SHARE, MOST_SHARE), (-math.inf, math.inf)
+    sizes = ((-target.limit_1, target.limit_1), share, any_size, any_size, share, share)
+    signatures.n = len(HYPOTHESES) if target.echoes is not None else TORQUE_ECHO_ROW
+    for row, kind, size in zip(signatures.rows, HYPOTHESES, sizes, strict=True):
+        row.fault, row.through, row.input = kind
+        row.limits.least, row.limits.most = size
     for limits, least, most in (
         (constants.torque_lost, -MOST_SHARE, MOST_SHARE),
         (table.echoes.wrong, -MOST_SHARE, -LEAST_SHARE),
