@@ -157,7 +157,9 @@ def is_over(own: State, verdict: int, rejected: bool, limit: float) -> bool:
     """Whether the onset of a lost channel 2 is over: ``rejected``, or the known loss has ended."""
     known = verdict == FORCE_LOST
     works = known and not own.rows[FORCE_ROW].candidate.foretold > limit
-    own.obeyed = 1 if works else 0
+    own.obeyed = 0
+    if works:
+        own.obeyed = 1
     over = works or (not known and rejected)
     if over:
         own.commanded = own.missing = own.before = 0.0
