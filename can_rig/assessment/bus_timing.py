@@ -185,7 +185,7 @@ class _Analysis:
     bit: int
 
     def worst(self) -> tuple[int | None, int, int | None]:
-        """t, Q and R; None, 0 and None for an endless busy period."""
+        """Return t, Q and R; an endless busy period has no t and no R, and a Q of 0."""
         own = self.own
         everything = [*self.higher, own]
         share = sum(Fraction(load.transmission, load.period) for load in everything)

@@ -154,7 +154,7 @@ class Turbulence:
 
     Args:
         seed: of the scenario.
-        number: of the disturbance, so that two of them differ.
+        number: of the disturbance; each number has a wind of its own.
         memory: p at these ticks, (n,) to (n,).
     """
 

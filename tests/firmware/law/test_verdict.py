@@ -44,7 +44,7 @@ def judged(state: Any, **evidence: float) -> Verdict:
 
 
 def judge_in(state: Any) -> None:
-    """The verdict on the evidence that is there; no witness speaks."""
+    """Judge the evidence of ``state`` without any witness."""
     lost, test = state.fault_state == FaultState.CONFIRMED, state.sequential_test
     judge(
         TABLES[0], state.hypotheses, state.mismatch, state.echoes, state.witness,

@@ -250,7 +250,7 @@ DEAD = {"kind": "sensor-dead", "at_s": 0.3}
 def test_sensors_are_heard_in_the_units_of_the_database(
     tmp_path: Path, precision: str, fault: dict[str, Any], others: list[dict[str, Any]]
 ) -> None:
-    """Two sensors in one message, one mirrored; without sensors the node answers otherwise."""
+    """A message carries two sensors, one of them mirrored; no sensors, another answer."""
     path = tmp_path / "car.dbc"
     path.write_text(MOTOROLA.read_text().replace("BO_ 1304", f"{SENSORS}BO_ 1304"))
     roles = {"yaw_rate": "ESP12.YAW_RATE", "lateral_acceleration": "ESP12.LAT_ACCEL",
