@@ -5,8 +5,6 @@ The program writes ``tests/long.txt``: the costliest tests, until the rest takes
 cheapest test of a file stays in the quick tier.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import sys

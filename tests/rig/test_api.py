@@ -1,7 +1,5 @@
 """The rig from Python: runs, tables with units, pictures, and one line for what is wrong."""
 
-from __future__ import annotations
-
 import gc
 import json
 import pickle

@@ -176,11 +176,11 @@ MODULES = ["click", "numpy", "can_rig.assessment.stability"]
 
 
 @pytest.mark.parametrize("module", MODULES)
-def test_while_it_imports(module: str, tmp_path: Path) -> None:
+def test_while_it_imports(module, tmp_path):
     assert pressed_at(module, tmp_path, "-m", "can_rig", "check") == (130, "")
 
 
-def test_where_it_is_ignored_it_stays_ignored(tmp_path: Path) -> None:
+def test_where_it_is_ignored_it_stays_ignored(tmp_path):
     def ignore() -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -188,7 +188,7 @@ def test_where_it_is_ignored_it_stays_ignored(tmp_path: Path) -> None:
     assert pressed_at("click", tmp_path, *words, preexec_fn=ignore) == (0, "")
 
 
-def test_a_command_that_has_started_tidies_up(tmp_path: Path) -> None:
+def test_a_command_that_has_started_tidies_up(tmp_path):
     """Once the command is there, Ctrl-C is an exception: what was half written goes away."""
     log, out = tmp_path / "a.log", tmp_path / "a.csv"
     log.write_text("(0.000000) can0 101#00\n")

@@ -46,7 +46,7 @@ def rig_without(packages: list[str], *words: str) -> subprocess.CompletedProcess
         ("cluster", "distributed", ["campaign", "losses", "--scheduler", "tcp://127.0.0.1:1"]),
     ],
 )
-def test_one_line_says_how_to_install_the_extra(extra: str, package: str, words: list[str]) -> None:
+def test_one_line_says_how_to_install_the_extra(extra, package, words):
     done = rig_without([package], *words)
     assert done.returncode == 2
     said = re.fullmatch(rf"error: {package} is not installed: (\S+)(.*)\n", done.stderr)
@@ -59,7 +59,7 @@ def test_one_line_says_how_to_install_the_extra(extra: str, package: str, words:
         assert said[2].strip() == extra
 
 
-def test_what_the_readme_lists_needs_no_extra(tmp_path: Path) -> None:
+def test_what_the_readme_lists_needs_no_extra(tmp_path):
     (tmp_path / "a.log").write_text("(0.000000) can0 101#0011223344556677\n")
     for words in (
         ["run", *SHORT, "--out", "r", "--log", "x.mf4"],

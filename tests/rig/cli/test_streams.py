@@ -1,7 +1,5 @@
 """What every command does on a terminal with few letters, a full disk and with few open files."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource
@@ -26,14 +24,14 @@ def rig(*words: object, **options: object) -> subprocess.CompletedProcess[str]:
     [("check", "thesis-step"), ("scenarios",), ("bus", "default"), ("check", "--json")],
     ids=" ".join,
 )
-def test_a_terminal_without_some_letters_shows_the_others(words: tuple[str, ...]) -> None:
+def test_a_terminal_without_some_letters_shows_the_others(words):
     plain = {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
     done = rig(*words, env=os.environ | plain)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.isascii()
 
 
-def test_a_value_that_such_a_terminal_does_not_know_is_refused() -> None:
+def test_a_value_that_such_a_terminal_does_not_know_is_refused():
     plain = {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
     done = rig("check", "--set", "design.tau_s=ü", env=os.environ | plain)
     assert done.returncode == 2
@@ -52,7 +50,7 @@ def test_a_value_that_such_a_terminal_does_not_know_is_refused() -> None:
     ],
     ids=lambda words: " ".join(map(str, words)),
 )
-def test_a_full_disk_at_standard_output_is_one_line(words: tuple[object, ...]) -> None:
+def test_a_full_disk_at_standard_output_is_one_line(words):
     with Path("/dev/full").open("w") as full:
         done = rig(*words, stdout=full)
     assert done.returncode == 2
@@ -60,7 +58,7 @@ def test_a_full_disk_at_standard_output_is_one_line(words: tuple[object, ...]) -
 
 
 @pytest.mark.parametrize("files", [6, 12])
-def test_too_few_open_files_are_one_line_and_no_traceback(files: int, tmp_path: Path) -> None:
+def test_too_few_open_files_are_one_line_and_no_traceback(files, tmp_path):
     def limited() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (files, files))
 
@@ -79,7 +77,7 @@ def test_too_few_open_files_are_one_line_and_no_traceback(files: int, tmp_path: 
             assert number or not (tmp_path / "two").exists()
 
 
-def test_json_is_alone_on_standard_output(tmp_path: Path) -> None:
+def test_json_is_alone_on_standard_output(tmp_path):
     (tmp_path / "talks.py").write_text(
         "import os\n\ndef step(inputs):\n    print('by Python')\n"
         "    os.write(1, b'by C\\n')\n    return inputs.reference, 0.0\n"

@@ -312,7 +312,7 @@ def test_a_paused_node_goes_on_by_steps_and_says_how_it_stands():
         (0.103, 0.104),  # by more: the pace begins anew
     ],
 )
-def test_the_pace_after_a_late_tick(begun_s: float, next_s: float) -> None:
+def test_the_pace_after_a_late_tick(begun_s, next_s):
     clock = TurnedClock()
     run, _ = a_control(Interaction(pace=1.0), [], clock)
     watchdog = Watchdog(Silent(), "controller", DEFAULT_TIMEOUTS, StopRequest())

@@ -1,7 +1,5 @@
 """A run without a bus leaves what both nodes leave on one, byte for byte."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -73,7 +71,7 @@ TIMES = ("bus", "wall_s", "ticks_per_s", "real_time_factor")
 
 
 @pytest.fixture(autouse=True)
-def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def small_blocks(monkeypatch):
     monkeypatch.setattr(in_windows, "BLOCK_TICKS", 97)
     monkeypatch.setattr(in_windows, "WINDOW_TICKS", 2 * 97)
 
@@ -92,7 +90,7 @@ def folders(scenario: Scenario, where: Path) -> Iterator[dict[str, Any]]:
 @pytest.mark.parametrize(
     ("name", "changes"), CASES, ids=[f"{name} {' '.join(s)}" for name, s in CASES]
 )
-def test_the_folder_is_that_of_both_nodes(name: str, changes: list[str], tmp_path: Path) -> None:
+def test_the_folder_is_that_of_both_nodes(name, changes, tmp_path):
     without, on_a_bus = folders(load(name, changes), tmp_path)
     assert without.keys() == on_a_bus.keys()
     assert {key for key in without if without[key] != on_a_bus[key]} == set()
@@ -118,9 +116,7 @@ def test_the_folder_is_that_of_both_nodes(name: str, changes: list[str], tmp_pat
         {"controller": {"kind": "tests.rig.nodes.hearing:Hearing"}},
     ]),
 )  # fmt: skip
-def test_any_sensors_send_the_frames_of_both_nodes(
-    sensors: list[dict[str, Any]], more: dict[str, Any]
-) -> None:
+def test_any_sensors_send_the_frames_of_both_nodes(sensors, more):
     scenario = draft("sensed", {"duration_s": 0.15, "sensor": sensors, **more}).scenario
     on_a_bus = PEER if "controller" in more else PYTHON
     with TemporaryDirectory() as where:
@@ -137,7 +133,7 @@ def test_any_sensors_send_the_frames_of_both_nodes(
 
 
 @pytest.mark.parametrize("name", DRIVES)
-def test_the_log_is_the_recorded_drive(name: str, tmp_path: Path) -> None:
+def test_the_log_is_the_recorded_drive(name, tmp_path):
     """But for a few steps of a signal: linear algebra rounds otherwise on another processor."""
     log, scenario = tmp_path / "bus.log", scenario_of(name)
     run_without_bus(scenario, log, StopRequest(), lambda tick: None)
@@ -151,9 +147,7 @@ def test_the_log_is_the_recorded_drive(name: str, tmp_path: Path) -> None:
         np.testing.assert_allclose(one, other, rtol=0.0, atol=10 * lsb, err_msg=column)
 
 
-def test_a_plant_that_fails_leaves_what_was_sent_by_then(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plant_that_fails_leaves_what_was_sent_by_then(tmp_path, monkeypatch):
     (tmp_path / "car_that_gets_stuck.py").write_text(FAILING)
     monkeypatch.chdir(tmp_path)
     scenario = load("default", ["plant.kind=car_that_gets_stuck:Failing", "duration_s=0.3"])
@@ -181,9 +175,7 @@ def test_a_plant_that_fails_leaves_what_was_sent_by_then(
     state=st.integers(0, 3),
     verdict=st.sampled_from(Verdict),
 )
-def test_payloads_are_those_of_a_transmitter(
-    codec: Any, first: int, values: list[float], mode: int, state: int, verdict: int
-) -> None:
+def test_payloads_are_those_of_a_transmitter(codec, first, values, mode, state, verdict):
     sender = Transmitter(codec)
     for tick in range(first % COUNTERS):
         sender.frame(0.0, tick)

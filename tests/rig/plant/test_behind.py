@@ -251,9 +251,7 @@ def behind(*settings: str, tick_s: float = 1e-3) -> Any:
         (EQUAL_LAGS, 6e-3, 12),
     ],
 )
-def test_a_tick_is_one_step_or_as_many_as_are_short(
-    settings: list[str], tick_s: float, steps: int
-) -> None:
+def test_a_tick_is_one_step_or_as_many_as_are_short(settings, tick_s, steps):
     """At most half a millisecond, where anything lags."""
     plant = behind(COUNTING, *settings, tick_s=tick_s)
     before = plant.report(0.0, 0.0, 1.0, 1.0)
@@ -264,7 +262,7 @@ def test_a_tick_is_one_step_or_as_many_as_are_short(
     assert after["longest_s"] == pytest.approx(tick_s / steps)
 
 
-def test_immediate_actuators_and_sensor_leave_a_class_as_it_is() -> None:
+def test_immediate_actuators_and_sensor_leave_a_class_as_it_is():
     """The linear plant as a class, bit for bit; a lost share of a command never arrives."""
     of_class, linear = behind(CLASS), behind()
     draw = np.random.default_rng(2).normal(0.0, [40.0, 1500.0], (40, 2))
@@ -275,6 +273,6 @@ def test_immediate_actuators_and_sensor_leave_a_class_as_it_is() -> None:
         assert of_class.follow(*pair, 0.25, 0.5) == linear.follow(*pair, 0.25, 0.5)
 
 
-def test_the_sensor_is_late_and_the_car_is_not() -> None:
+def test_the_sensor_is_late_and_the_car_is_not():
     plant = behind(COUNTING, "plant.sensor.dead_time_s=0.0015")
     assert [plant.follow(0.0, 0.0, 1.0, 1.0) for _ in range(3)] == [(2, 0), (4, 1), (6, 3)]

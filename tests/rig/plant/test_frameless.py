@@ -1,7 +1,5 @@
 """The loop without frames is the run on a bus, to the last bit of every signal."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import get_args

@@ -5,8 +5,6 @@ between browsers. After an intended change ``CAN_RIG_SCREENSHOTS=renew`` writes 
 again; look at the pages before you commit.
 """
 
-from __future__ import annotations
-
 import io
 import os
 from pathlib import Path
