@@ -3,8 +3,6 @@
 A run of an hour at 1 kHz has 29 MB a signal. Short columns are plain arrays.
 """
 
-from __future__ import annotations
-
 import ctypes
 import mmap
 import os

@@ -1,7 +1,5 @@
 """The folder of a campaign, new or resumed, and its runs: drawn blocks, a search, one table."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """From a campaign's keys to the settings of each of its runs, which its number alone decides."""
 
-from __future__ import annotations
-
 import math
 import operator
 import shlex

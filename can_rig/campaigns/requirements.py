@@ -8,8 +8,6 @@ Each expression has a margin too: positive if the expression holds, larger for a
 relative to the bound, so that margins of different units compare.
 """
 
-from __future__ import annotations
-
 import ast
 import math
 import operator

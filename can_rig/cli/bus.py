@@ -1,7 +1,5 @@
 """``can-rig bus``: the bus timing of a scenario, or of any DBC."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from fractions import Fraction

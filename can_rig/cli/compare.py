@@ -1,7 +1,5 @@
 """``can-rig compare``: several controllers through the same faults, weather and cars."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path

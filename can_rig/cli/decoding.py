@@ -1,7 +1,5 @@
 """Options of the commands that decode a log: the part of the log, and the databases."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import wraps

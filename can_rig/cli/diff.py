@@ -1,7 +1,5 @@
 """``can-rig diff``: the differences of two runs as a table, a picture and an exit status."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path

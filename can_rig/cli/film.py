@@ -1,7 +1,5 @@
 """``can-rig film``: a run as an animated picture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

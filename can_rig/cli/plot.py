@@ -1,7 +1,5 @@
 """``can-rig plot``: signals of any log through any DBC, drawn for print."""
 
-from __future__ import annotations
-
 import difflib
 from collections import Counter
 from collections.abc import Mapping

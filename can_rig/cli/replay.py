@@ -1,7 +1,5 @@
 """``can-rig replay``: a log through today's controller, onto a bus, or through another scenario."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """A controller in a C shared library: ``controller.h`` states its functions."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The rig's own control law as a controller of a node."""
 
-from __future__ import annotations
-
 import math
 
 from can_rig.controllers.protocol import Answer, InNode, Inputs, NodeController, samples_in

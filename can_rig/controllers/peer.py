@@ -1,7 +1,5 @@
 """A controller of one's own in a node: guarded, limited, and held where inputs are missing."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from numbers import Integral

@@ -4,8 +4,6 @@ A node either steps a controller itself (`InNode`) or passes frames to a program
 node (`WholeNode`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

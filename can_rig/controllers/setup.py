@@ -1,7 +1,5 @@
 """What a controller of one's own is constructed with."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Frames for a page: raw bytes, and the layouts of the signals in the bytes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final
 

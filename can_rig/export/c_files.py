@@ -6,8 +6,6 @@ innermost block around all its uses. Numbers that the source names become macros
 most 100 columns.
 """
 
-from __future__ import annotations
-
 import ast
 import math
 import re

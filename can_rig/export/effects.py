@@ -5,8 +5,6 @@ function that changes something stands beside names, literals and constants of t
 names cannot change during the expression, and structs without writers never change.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 

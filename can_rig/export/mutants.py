@@ -6,8 +6,6 @@ object code of the original, or without any, does not count. The trials kill a m
 differ from those of Python, that crashes, or that does not end.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import random

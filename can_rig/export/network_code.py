@@ -3,8 +3,6 @@
 `support/frames.c` converts between a value and its steps, `network.c` between steps and bytes.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections import defaultdict

@@ -6,8 +6,6 @@ the designs, a change of speed precedes each step and reset.
 Programs run the law on random memory, and a controller node on random frames.
 """
 
-from __future__ import annotations
-
 import math
 import random
 import subprocess

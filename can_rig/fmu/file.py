@@ -3,8 +3,6 @@
 A ZIP archive may claim and hold anything, so the bounds count the bytes that come out.
 """
 
-from __future__ import annotations
-
 import difflib
 import zipfile
 from collections.abc import Collection, Iterable, Mapping, Sequence

@@ -5,8 +5,6 @@ a constant for the data identifier. The E2E library computes the tables, so that
 contains the polynomial.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, Final

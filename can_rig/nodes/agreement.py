@@ -18,8 +18,6 @@ frames nor repeated offers are recorded; nodes started by one process share a sc
 digests.
 """
 
-from __future__ import annotations
-
 import os
 import secrets
 from collections.abc import Collection, Iterator, Mapping

@@ -4,8 +4,6 @@ A node waits no longer than permitted, and not beyond a stop request. The clock 
 everywhere, so tests control the time.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """Commands to a running simulation: sent to a plant node, read from a log, given to a run again."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """Commands to a running simulation: the plant node obeys, the controller node follows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 

@@ -5,8 +5,6 @@ with a bus, one process without a bus, and the wall clock are ways to carry a ti
 through the ticks of each.
 """
 
-from __future__ import annotations
-
 import gc
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager

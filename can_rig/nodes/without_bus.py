@@ -3,8 +3,6 @@
 What is recorded is what the two nodes record in lockstep, byte for byte.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path

@@ -5,8 +5,6 @@ does not know the token and cannot forge the Origin header. If a foreign site po
 of its own to 127.0.0.1 (DNS rebinding), the Host header carries the foreign name.
 """
 
-from __future__ import annotations
-
 import asyncio
 import hmac
 import json

@@ -6,8 +6,6 @@ command; the scaled command enters the lag. A dead actuator therefore fades with
 waiting for its dead time.
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The car of a scenario, with its actuators and its sensors, as an FMU; inputs of the scenario."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ A window of ticks goes along with the run: what happens from outside is worked o
 and of what is done it keeps what a late command or reading looks back on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Final, TypeVar
 

@@ -4,8 +4,6 @@ A linear car includes dead time and filter in its matrix, exactly. The filter he
 classes, which provide only samples.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

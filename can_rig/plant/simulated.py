@@ -1,7 +1,5 @@
 """The simulated car of a run: its actuators, late by the bus's latency, the plant, its sensor."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Mapping
 from typing import Any

@@ -3,8 +3,6 @@
 Every loop takes the same compiled ``sense``, so each says the same bits.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections import deque

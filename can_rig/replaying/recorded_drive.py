@@ -7,8 +7,6 @@ word, such as "not available". A tick without D* is BLIND.
 Every signal has the times of its own frames, whatever the message, the bus and the rate.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections import defaultdict

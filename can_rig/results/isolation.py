@@ -1,7 +1,5 @@
 """Whose fault it was: verdict and evidence of each tick, and in words."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A page that shows a run or a log: every signal, charts added and removed, the plant in motion."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Mapping
 from dataclasses import replace

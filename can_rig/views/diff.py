@@ -1,7 +1,5 @@
 """Two runs compared: the settings key by key, the signals row by row."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
