@@ -123,8 +123,8 @@ def test_frames_say_what_an_integration_of_the_equations_gives(tmp_path, disturb
 def test_a_run_has_the_same_frames_in_one_process_and_in_two(chosen, tmp_path):
     """Also with every fault of a sensor and of its frames, a tenth of a second each."""
     sensors = [{"measures": each["measures"]} for each in SENSORS]
-    places = [{"channel": "yaw-rate", **fault} for fault, _ in (*FAULTS, *OF_FRAMES)] + LYING
-    faults = [{"at_s": 0.1 * at, "for_s": 0.1, **each} for at, each in enumerate(places)]
+    places = [{"channel": "yaw-rate"} | fault for fault, _ in (*FAULTS, *OF_FRAMES)] + LYING
+    faults = [each | {"at_s": 0.1 * at, "for_s": 0.1} for at, each in enumerate(places)]
     more = {"fault": faults, "duration_s": 0.1 * len(faults)} if chosen == "faulty" else {}
     noisy = scenario(**{"sensor": sensors, "duration_s": 0.3, **more})
     one = run(noisy, tmp_path / "one").read_bytes()
@@ -159,7 +159,7 @@ def test_further_sensors_change_no_other_frame(tmp_path):
         assert [signals for _, signals in said] == [signals for _, signals in with_them[name]]
 
 
-FAULTS = [
+FAULTS: list = [
     ({"kind": "sensor-biased", "offset": 0.05}, lambda y, k: y + 0.05),
     ({"kind": "sensor-drift", "drift_per_s": 0.2}, lambda y, k: y + 0.2 * (k - 200) * TICK_S),
     ({"kind": "sensor-dead", "left": 0.25}, lambda y, k: 0.25 * y),
@@ -169,7 +169,7 @@ FAULTS = [
 ]
 
 
-OF_FRAMES = [
+OF_FRAMES: list = [
     ({"kind": "frames-missing"}, lambda sent, k: []),
     ({"kind": "frames-repeated"}, lambda sent, k: sent[191] if k % 10 == 1 else []),
     ({"kind": "frames-late", "late_ticks": 3}, lambda sent, k: sent.get(k - 3, [])),
