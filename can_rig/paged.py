@@ -86,10 +86,6 @@ def folder() -> str:
 def column(rows: int, part: Callable[[slice], NDArray[np.float64]]) -> NDArray[np.float64]:
     """(rows,), worked out part by part.
 
-    Args:
-        rows: how many.
-        part: the values of some of them.
-
     Raises:
         RunFolderError: as ``empty``.
     """

@@ -175,10 +175,6 @@ Point = tuple[float, ...]
 class Search:
     """Ask-and-tell search: ``tell`` takes the margins of the points from ``ask``.
 
-    Args:
-        axes: number of axes.
-        seed: of the random numbers.
-
     Raises:
         MissingExtraError: cma is not installed.
     """

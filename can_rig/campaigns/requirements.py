@@ -58,11 +58,6 @@ UNKNOWN: Final = Verdict(None, None)
 class Requirement:
     """One expression, checked on construction.
 
-    Args:
-        name: of the requirement.
-        text: the expression.
-        known: permitted names.
-
     Raises:
         ScenarioError: invalid syntax, or an unknown name.
     """

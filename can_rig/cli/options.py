@@ -160,6 +160,17 @@ def window_options(function: Function) -> Function:
     return function
 
 
+def out_option(what: str, *, required: bool = False) -> Callable[[Function], Function]:
+    """--out, the FILE of ``what``."""
+    return click.option(
+        "--out",
+        type=click.Path(path_type=Path, dir_okay=False),
+        required=required,
+        metavar="FILE",
+        help=what,
+    )
+
+
 force_option = click.option("--force", is_flag=True, help="Replace outputs that exist.")
 
 

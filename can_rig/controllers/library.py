@@ -48,9 +48,6 @@ class CAnswer(ctypes.Structure):
 class LibraryController:
     """The controller in a shared library; see ``protocol.Controller``.
 
-    Args:
-        setup: of the run.
-
     Raises:
         ScenarioError: no such library, a missing function, another version, or no controller.
     """

@@ -12,11 +12,6 @@ from firmware_model.firmware import PYTHON_LAW, Firmware, Law
 class OurLaw:
     """``Firmware`` of a scenario at rest; see ``NodeController``.
 
-    Args:
-        scenario: the run.
-        network: its frames.
-        law: the implementation of the control law.
-
     Raises:
         ScenarioError: the design fails.
     """

@@ -62,10 +62,6 @@ def where_of(setup: ControllerSetup) -> str:
 class Peer:
     """A controller of one's own; see ``NodeController``.
 
-    Args:
-        setup: of the run.
-        make: constructs the controller.
-
     Raises:
         ScenarioError: the controller cannot be made, or fails at rest.
     """

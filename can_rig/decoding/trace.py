@@ -21,11 +21,7 @@ PROTECTION: Final = ("Checksum", "AliveCounter", "Tick")
 
 
 class Kinds:
-    """Numbers the kinds of frames, by identifier, bus and message.
-
-    Args:
-        databases: of the messages.
-    """
+    """Numbers the kinds of frames, by identifier, bus and message."""
 
     def __init__(self, databases: Databases) -> None:
         self._decoder = Decoder(databases)

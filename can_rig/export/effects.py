@@ -15,9 +15,6 @@ from can_rig.export.subset import Program, Typed
 class Effects:
     """The side effects of a program's functions.
 
-    Args:
-        program: the whole program.
-
     Attributes:
         changing: the structs that the program writes.
 

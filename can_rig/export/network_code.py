@@ -89,10 +89,6 @@ def signal_comment(
 class NetworkCode:
     """The frames of ``network`` as C.
 
-    Args:
-        scenario: the scenario.
-        network: its frames.
-
     Raises:
         ExportError: a signal that the node in C cannot carry.
     """

@@ -112,11 +112,6 @@ class Program:
 class Typed:
     """A function with its types.
 
-    Args:
-        program: gets the callees.
-        function: the function.
-        arguments: types of its parameters.
-
     Attributes:
         function: the function.
         names: types of all its names: parameters, then assigned names.
@@ -518,10 +513,6 @@ class Typed:
 
     def _check_assigned(self, body: list[ast.stmt], known: set[str] | None) -> set[str] | None:
         """The names with a value after ``body``; None for unreachable code.
-
-        Args:
-            body: statements.
-            known: the names with a value before.
 
         Raises:
             ExportError: some way leads to a name without a value, or no way to a statement.

@@ -497,15 +497,7 @@ class Trial:
 def random_trials(
     precision: Precision, seed: int, memories: int, ticks: int, blends: bool = False
 ) -> list[Trial]:
-    """Trials of any memory and any inputs, the same for the same ``seed``.
-
-    Args:
-        precision: of real numbers.
-        seed: of the generator.
-        memories: how many trials.
-        ticks: of each.
-        blends: whether the speed of the car changes.
-    """
+    """Trials of any memory and any inputs, the same for the same ``seed``."""
     random, trials = np.random.default_rng(seed), []
     for _ in range(memories):
         even = random.random() < 0.2  # equal operands for comparisons

@@ -268,10 +268,6 @@ def own_bus() -> str:
 def require_alone(scenario: Scenario, bus_name: str) -> None:
     """Refuse to start a rig where another rig or node is.
 
-    Args:
-        scenario: the rig's.
-        bus_name: the bus that others can join.
-
     Raises:
         BusError: an answer from another plant or controller node, or a missing bus.
     """

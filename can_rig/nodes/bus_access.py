@@ -347,9 +347,6 @@ class Watchdog:
     def receive(self, tick: int) -> can.Message:
         """The next frame of any kind.
 
-        Args:
-            tick: the current tick, for the error message.
-
         Raises:
             SilentNodeError: no frame came within the permitted silence.
             BusLostError: likewise, after an error message of the bus.

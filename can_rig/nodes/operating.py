@@ -29,13 +29,7 @@ class Touch(NamedTuple):
 
 
 class OperatedBus:
-    """A bus that delivers the commands of a log at their recorded places.
-
-    Args:
-        bus: the plant node's bus.
-        network: the frames of the run.
-        told: the commands.
-    """
+    """A bus that delivers the commands of a log at their recorded places."""
 
     def __init__(self, bus: NodeBus, network: Network, told: Iterable[Touch]) -> None:
         self._bus = bus

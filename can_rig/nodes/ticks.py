@@ -60,11 +60,6 @@ class NodeSummary:
 def drive(carry: Carry, ticks: int, on_tick: OnTick) -> int:
     """Carry ``ticks`` ticks, or as many as a stop request leaves; returns the number completed.
 
-    Args:
-        carry: carries a tick.
-        ticks: of the run.
-        on_tick: called with the number of ticks completed.
-
     Raises:
         RigError: from ``carry``.
     """

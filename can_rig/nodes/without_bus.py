@@ -54,10 +54,6 @@ def run_without_bus(
 class RunWithoutBus:
     """A scenario, recorded as it goes on.
 
-    Args:
-        scenario: the run.
-        log: where to record.
-
     Raises:
         ScenarioError: a scenario that cannot run.
         RunFolderError: the log cannot be written.

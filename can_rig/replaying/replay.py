@@ -119,11 +119,7 @@ class _Signal:
 
 
 class Comparison:
-    """Compares tick by tick.
-
-    Args:
-        network: the frames.
-    """
+    """Compares tick by tick."""
 
     def __init__(self, network: Network) -> None:
         codecs = tuple(network)[INPUTS:]

@@ -31,10 +31,6 @@ CERTAIN: Final = 1e12  # largest recorded evidence; at rest without noise it has
 class Reasoning:
     """The control law with the inputs of a run's controller, tick by tick.
 
-    Args:
-        scenario: the run.
-        network: the frames.
-
     Raises:
         ScenarioError: the design fails.
     """

@@ -402,12 +402,7 @@ def written_by(scenario: Scenario) -> dict[str, Any]:
 
 
 def keys_of(name: str, table: Mapping[str, Any]) -> dict[str, Any]:
-    """The keys of a fault, disturbance or sensor: the first, and all with another value than usual.
-
-    Args:
-        name: of the list.
-        table: every key and value.
-    """
+    """The keys of a fault, disturbance or sensor: the first, and all that differ from the usual."""
     first = next(iter(table))
     return {first: table[first], **_other_values(table, asdict(NEW[name]))}
 
