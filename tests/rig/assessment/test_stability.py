@@ -30,7 +30,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.law.structs import FloatArray
 from tests.firmware.law.cases import changed
-from tests.helpers import asked, rig
+from tests.helpers import asked
 
 UNSTABLE = ("tick_s=0.01", "design.estimator=zoh")  # only with the torque dead
 FAST = ("latency_ticks=8", "design.tau_s=0.0001", "design.tau_q_s=0.0001")  # in every state
@@ -96,8 +96,9 @@ def test_an_unstable_loop_is_exit_status_1_and_still_json():
     assert values["faulted"]["delay_margin_ticks"] is None
 
 
-def test_a_person_sees_one_table_and_one_verdict():
-    done = rig("check", "thesis-step", *options(UNSTABLE), env={**os.environ, "COLUMNS": "80"})
+def test_a_person_sees_one_table_and_one_verdict(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    done = asked("check", "thesis-step", *options(UNSTABLE))
     lines = done.stdout.splitlines()
     assert done.returncode == 1
     for word in ("healthy", "torque dead", "torque 25%"):

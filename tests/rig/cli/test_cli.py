@@ -84,14 +84,14 @@ def test_a_node_refuses_as_clearly(node, arguments, reason):
 
 
 def test_a_log_that_cannot_be_written_is_one_line(tmp_path):
-    done = rig("plant", "--log", tmp_path / "no" / "bus.log", "--bus", f"local:{tmp_path / 'b'}")
+    done = asked("plant", "--log", tmp_path / "no" / "bus.log", "--bus", f"local:{tmp_path / 'b'}")
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert "bus.log" in done.stderr
 
 
 def test_a_mistake_in_two_processes_is_one_line_and_leaves_no_folder(tmp_path):
-    done = rig("run", "thesis-step", "--bus", "local:/no/such/folder", "--out", tmp_path / "run")
+    done = asked("run", "thesis-step", "--bus", "local:/no/such/folder", "--out", tmp_path / "run")
     assert done.returncode == 2
     (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
     assert line.startswith("error: cannot open bus 'local:/no/such/folder'")

@@ -15,7 +15,7 @@ from can_rig.cli.main import COMMANDS, main
 from can_rig.errors import INTERRUPTED
 from can_rig.results import execution
 from can_rig.scenario import shipped
-from tests.helpers import asked, rig
+from tests.helpers import asked
 
 SCENARIO_KEYS = Path(__file__).parents[3] / "docs" / "scenario-keys.md"
 RUN = ("run", "thesis-step", "--set", "duration_s=0.05")
@@ -28,7 +28,7 @@ def test_scenarios_as_json():
 
 
 def test_a_run_as_json_has_the_metrics_of_its_folder(tmp_path):
-    done = rig(*RUN, "--json", "--silence", "7", "--out", tmp_path / "r")
+    done = asked(*RUN, "--json", "--silence", "7", "--out", tmp_path / "r")
     said = json.loads(done.stdout)
     summary = json.loads((tmp_path / "r" / "run.json").read_text())
     assert said["folder"] == str(tmp_path / "r")

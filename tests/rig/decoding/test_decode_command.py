@@ -14,7 +14,7 @@ import pytest
 from can_rig.decoding.decode import decode_log
 from can_rig.frames.databases import shipped_dbc
 from can_rig.results.run_folder import LOG
-from tests.helpers import NAMES, asked, decoded, record, rig
+from tests.helpers import NAMES, asked, decoded, record
 
 FEATURES = """VERSION ""
 BU_: ECU
@@ -216,7 +216,7 @@ def test_outputs_are_whole_and_never_replaced_unasked(drive, tmp_path):
 
 def test_a_missing_end_is_said_and_the_rest_decoded(drive, tmp_path):
     (tmp_path / "a.log").write_bytes(drive.read_bytes()[:-9])
-    done = rig("decode", tmp_path / "a.log")
+    done = asked("decode", tmp_path / "a.log")
     assert done.returncode == 0
     assert "note:" in done.stderr
     assert "line 1500: the file ends within this line" in done.stderr

@@ -25,7 +25,7 @@ from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import speeds_at_ticks
 from firmware_model.firmware import PYTHON_LAW
-from tests.helpers import asked, decoded, rig
+from tests.helpers import asked, decoded
 
 DRIVE = (
     "duration_s=0.6",
@@ -205,7 +205,7 @@ def test_what_if_repeats_a_drive(tmp_path):
 
 def test_a_drive_by_the_wall_clock(tmp_path):
     settings = [f"--set={each}" for each in (*DRIVE, "tick_s=0.005", "latency_ticks=2")]
-    done = rig("run", "default", *settings, "--realtime", "--out", tmp_path / "run")
+    done = asked("run", "default", *settings, "--realtime", "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
     assert "VEHICLE_SPEED" not in done.stderr
     assert len((tmp_path / "run" / "signals.csv").read_text().splitlines()) == 121

@@ -21,7 +21,7 @@ from can_rig.plant.frameless import frameless
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from firmware_model.law.status import FaultState
-from tests.helpers import asked, record, rig
+from tests.helpers import asked, record
 from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database, options
 
 DRIVE = ["duration_s=1.5", "fault.at_s=1.0"]
@@ -124,7 +124,7 @@ def test_real_time_needs_no_tick(tmp_path):
     assert "network.tick: must name the signal that counts the ticks" in refused.stderr
     assert not (tmp_path / "lockstep").exists()
     assert "no network.tick: runs in real time" in asked("bus", "default", *words).stdout
-    done = rig("run", "default", *words, "--realtime", "--out", tmp_path / "run")
+    done = asked("run", "default", *words, "--realtime", "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
     scenario = load("default", [*CHASSIS, *options(MOTOROLA, SIGNALS, "")])
     signals = read_signals(tmp_path / "run" / "bus.log", network_of(scenario), scenario.tick_s)
