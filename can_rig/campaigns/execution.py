@@ -63,7 +63,6 @@ class CampaignFolder:
     Attributes:
         made: the folder in the making; the report, when written, lets this folder replace an
             earlier one.
-        plan: the campaign's plan.
     """
 
     made: NewFolder

@@ -185,11 +185,7 @@ class Ecu(Protocol):
 
 @dataclass(frozen=True)
 class WholeNode:
-    """A whole controller node as a program.
-
-    Attributes:
-        start: creates the node.
-    """
+    """A whole controller node as a program."""
 
     start: Callable[[], Ecu]
 

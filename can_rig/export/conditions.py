@@ -58,7 +58,6 @@ class Decision:
     """A decision.
 
     Attributes:
-        file: the name of its file.
         lines: the line of each condition.
         texts: the conditions.
         tree: how they are joined.

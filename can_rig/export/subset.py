@@ -113,10 +113,7 @@ class Typed:
     """A function with its types.
 
     Attributes:
-        function: the function.
         names: types of all its names: parameters, then assigned names.
-        result: type of the result.
-        types: types of its expressions.
         calls: the called functions of the target, by call node.
 
     Raises:
