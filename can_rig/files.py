@@ -5,8 +5,6 @@ and renames the complete file. The folder is locked; a missing lock identifies t
 killed process, which the next output beside removes. `folders` does the same for folders.
 """
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import os

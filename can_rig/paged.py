@@ -3,8 +3,6 @@
 A run of an hour at 1 kHz has 29 MB a signal. Short columns are plain arrays.
 """
 
-from __future__ import annotations
-
 import ctypes
 import mmap
 import os
@@ -87,10 +85,6 @@ def folder() -> str:
 
 def column(rows: int, part: Callable[[slice], NDArray[np.float64]]) -> NDArray[np.float64]:
     """(rows,), worked out part by part.
-
-    Args:
-        rows: how many.
-        part: the values of some of them.
 
     Raises:
         RunFolderError: as ``empty``.

@@ -1,7 +1,5 @@
 """A clock that tests turn."""
 
-from __future__ import annotations
-
 
 class TurnedClock:
     """Only sleeping moves it; the clock of the bus's time stamps is the same."""

@@ -1,7 +1,5 @@
 """What is made once a session and shared by every worker of pytest-xdist."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 from collections.abc import Callable

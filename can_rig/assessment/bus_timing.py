@@ -35,8 +35,6 @@ A command that has arrived acts from the start of the next tick, so the latency 
 arrival of the later command over the tick, rounded up: 1 where the exchange fits in a tick.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace

@@ -13,8 +13,6 @@ The times suit a car, and grow for a slower plant.
 Other cars are the vertices of the budget's box and random cars from its inside.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace

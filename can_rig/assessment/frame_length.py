@@ -18,8 +18,6 @@ A remote frame counts as a classic frame with s = 0. The intermission of 3 bits 
 `FrameBits` excludes the intermission, `duration_s` and `on_the_bus` add the 3 bits.
 """
 
-from __future__ import annotations
-
 from fractions import Fraction
 from typing import Final, NamedTuple
 

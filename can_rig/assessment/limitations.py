@@ -27,8 +27,6 @@ until then, with the sent commands u: a controller with a larger command after t
 loss show sooner.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace

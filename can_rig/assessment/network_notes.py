@@ -1,7 +1,5 @@
 """Notes before a run on the user's frames: protection, other traffic, ranges, steps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -3,8 +3,6 @@
 ``latency_ticks = "from-bus"`` is the worst case of the bus timing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any

@@ -5,8 +5,6 @@ speed. Between both ends the loop must be stable at every speed of a fine grid, 
 fastest change, ``drive.speed_rate_max_mps2`` (``analysis.speed_sweep``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any

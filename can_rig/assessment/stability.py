@@ -14,8 +14,6 @@ mean, equal to a drive without noise, gives the usual time of confirmation: with
 losses take longer, one in a hundred about a fifth longer.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace

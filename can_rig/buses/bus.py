@@ -13,8 +13,6 @@ reading. Counts the frames dropped by the kernel from either socket (``SO_MEMINF
 ``SK_MEMINFO_DROPS``).
 """
 
-from __future__ import annotations
-
 import contextlib
 import difflib
 import errno

@@ -5,8 +5,6 @@ is lost or counted twice if a worker dies, is slow, or repeats a task. A lost sc
 command; finished blocks are kept.
 """
 
-from __future__ import annotations
-
 import asyncio
 import pickle
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """The folder of a campaign, new or resumed, and its runs: drawn blocks, a search, one table."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -65,7 +63,6 @@ class CampaignFolder:
     Attributes:
         made: the folder in the making; the report, when written, lets this folder replace an
             earlier one.
-        plan: the campaign's plan.
     """
 
     made: NewFolder
@@ -176,10 +173,6 @@ Point = tuple[float, ...]
 
 class Search:
     """Ask-and-tell search: ``tell`` takes the margins of the points from ``ask``.
-
-    Args:
-        axes: number of axes.
-        seed: of the random numbers.
 
     Raises:
         MissingExtraError: cma is not installed.

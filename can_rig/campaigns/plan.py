@@ -1,7 +1,5 @@
 """From a campaign's keys to the settings of each of its runs, which its number alone decides."""
 
-from __future__ import annotations
-
 import math
 import operator
 import shlex
@@ -62,12 +60,7 @@ NOT_BELIEVED: Final = ("kind", "variant", "parameters", "friction")
 
 @dataclass(frozen=True)
 class Base:
-    """A scenario of a campaign with the settings of every run.
-
-    Attributes:
-        settings: the campaign's keys.
-        file: the scenario file.
-    """
+    """A scenario of a campaign with the settings of every run."""
 
     settings: CampaignSettings
     file: Written
@@ -251,12 +244,7 @@ class Base:
 
 @dataclass(frozen=True)
 class Plan:
-    """A campaign ready to run.
-
-    Attributes:
-        settings: its keys.
-        bases: its scenarios, by name.
-    """
+    """A campaign ready to run."""
 
     settings: CampaignSettings
     bases: dict[str, Base]

@@ -1,7 +1,5 @@
 """``report.html``, ``report.png`` and ``summary.json`` of a finished campaign."""
 
-from __future__ import annotations
-
 import base64
 import html
 import io

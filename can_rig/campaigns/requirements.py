@@ -8,8 +8,6 @@ Each expression has a margin too: positive if the expression holds, larger for a
 relative to the bound, so that margins of different units compare.
 """
 
-from __future__ import annotations
-
 import ast
 import math
 import operator
@@ -59,11 +57,6 @@ UNKNOWN: Final = Verdict(None, None)
 
 class Requirement:
     """One expression, checked on construction.
-
-    Args:
-        name: of the requirement.
-        text: the expression.
-        known: permitted names.
 
     Raises:
         ScenarioError: invalid syntax, or an unknown name.

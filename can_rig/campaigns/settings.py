@@ -23,8 +23,6 @@ rows = "fault.0"
 columns = "verdict"
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Statistics of a campaign: pass rates, worst runs, and the influence of the axes."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass

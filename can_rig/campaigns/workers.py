@@ -4,8 +4,6 @@ The task and the campaign alone determine the rows, so a task may be computed an
 and repeatedly.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import time

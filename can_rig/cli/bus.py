@@ -1,9 +1,8 @@
 """``can-rig bus``: the bus timing of a scenario, or of any DBC."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
+from dataclasses import asdict
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -76,25 +75,18 @@ def command(
 
 def as_dict(timing: BusTiming) -> dict[str, Any]:
     """The table as JSON: seconds as numbers, null without a bound."""
+    frames = (
+        {**asdict(each), "arrival_s": each.arrival_s, "slack_s": each.slack_s}
+        for each in timing.frames
+    )
     return {
         "bitrate": timing.bitrate,
         "schedulable": timing.schedulable,
         "utilisation": float(timing.utilisation),
         "latency_ticks": timing.latency_ticks,
         "frames": [
-            {
-                "name": frame.name,
-                "frame_id": frame.frame_id,
-                "extended": frame.extended,
-                "bits": frame.bits,
-                "transmission_s": _seconds(frame.transmission_s),
-                "release_s": _seconds(frame.release_s),
-                "response_s": _seconds(frame.response_s),
-                "arrival_s": _seconds(frame.arrival_s),
-                "deadline_s": _seconds(frame.deadline_s),
-                "slack_s": _seconds(frame.slack_s),
-            }
-            for frame in timing.frames
+            {key: float(of) if isinstance(of, Fraction) else of for key, of in frame.items()}
+            for frame in frames
         ],
         "left_out": list(timing.left_out),
     }
@@ -131,7 +123,3 @@ def _late(timing: BusTiming) -> str:
 
 def _identifier(frame: FrameTiming) -> str:
     return f"0x{frame.frame_id:08X}" if frame.extended else f"0x{frame.frame_id:03X}"
-
-
-def _seconds(time: Fraction | None) -> float | None:
-    return None if time is None else float(time)

@@ -1,7 +1,5 @@
 """``can-rig campaign``: thousands of runs, a table, a report."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

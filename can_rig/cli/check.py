@@ -1,7 +1,5 @@
 """``can-rig check``."""
 
-from __future__ import annotations
-
 import sys
 
 import click

@@ -1,7 +1,5 @@
 """``can-rig compare``: several controllers through the same faults, weather and cars."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +8,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from can_rig.assessment.resolve import load
-from can_rig.cli.options import force_option, json_option, set_option
+from can_rig.cli.options import force_option, json_option, out_option, set_option
 from can_rig.cli.output import counting, json_line, say, table, wide
 from can_rig.errors import ScenarioError
 from can_rig.files import atomic, refuse_picture
@@ -41,12 +39,7 @@ def _controllers(_c: click.Context, _p: click.Parameter, begun: str) -> list[Com
     help="A case of one's own, in place of the groups; repeatable.",
 )
 @set_option("Change one key of every run")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Draw the errors: FILE.png, .svg or .pdf.",
-)
+@out_option("Draw the errors: FILE.png, .svg or .pdf.")
 @json_option("A JSON object for each run.")
 @force_option
 def command(

@@ -1,7 +1,5 @@
 """``can-rig convert``: a log in another format."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """``can-rig decode``: a log through a DBC, into files, with an account of the undecoded frames."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Options of the commands that decode a log: the part of the log, and the databases."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import wraps
@@ -9,7 +7,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import click
-from cantools.database.can import Database
 
 from can_rig.cli.options import channel_option, log_argument, window_options
 from can_rig.cli.output import reading
@@ -64,14 +61,15 @@ class Asked:
         if not self.named:
             dbc = own_dbc(self.path)
             return load_for(dbc, ()) if self.strict else load_database(dbc, False)
-        found: list[tuple[str | None, Database]] = []
-        for name in self.named:
-            bus, equals, file = name.partition("=")
-            if equals and not Path(name).exists():
-                found.append((bus, load_database(file, self.strict)))
-            else:
-                found.append((None, load_database(name, self.strict)))
-        return found
+        return [
+            (bus, load_database(file, self.strict)) for bus, file in map(bus_and_file, self.named)
+        ]
+
+
+def bus_and_file(name: str) -> tuple[str | None, str]:
+    """Bus and file of ``BUS=FILE``; no bus for ``FILE``, which may have an equals sign."""
+    bus, equals, file = name.partition("=")
+    return (bus, file) if equals and not Path(name).exists() else (None, name)
 
 
 def own_dbc(source: Path) -> Path:

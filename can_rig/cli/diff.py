@@ -1,7 +1,5 @@
 """``can-rig diff``: the differences of two runs as a table, a picture and an exit status."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -9,7 +7,7 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from can_rig.cli.options import force_option, json_option, window_options
+from can_rig.cli.options import force_option, json_option, out_option, window_options
 from can_rig.cli.output import json_line, table, wide
 from can_rig.files import atomic, refuse_picture
 from can_rig.logs.frames import window_of
@@ -38,12 +36,7 @@ from can_rig.views.signal_table import SignalTable, read_table
     metavar="NAME",
     help="Frames and tick of what is a log and no run folder.",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Draw where they part: FILE.png, .svg or .pdf.",
-)
+@out_option("Draw where they part: FILE.png, .svg or .pdf.")
 @json_option()
 @force_option
 def command(

@@ -1,7 +1,5 @@
 """``can-rig export``."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``can-rig figures``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

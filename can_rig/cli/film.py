@@ -1,12 +1,10 @@
 """``can-rig film``: a run as an animated picture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
 
-from can_rig.cli.options import force_option, window_options
+from can_rig.cli.options import force_option, out_option, window_options
 from can_rig.cli.output import say
 from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
@@ -15,13 +13,7 @@ from can_rig.results.source import read_run
 
 @click.command("film")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    required=True,
-    metavar="FILE",
-    help="The film, FILE.gif or FILE.mp4; an MP4 needs ffmpeg.",
-)
+@out_option("The film, FILE.gif or FILE.mp4; an MP4 needs ffmpeg.", required=True)
 @window_options
 @click.option(
     "--speed",

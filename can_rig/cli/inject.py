@@ -1,7 +1,5 @@
 """``can-rig inject``: one command to a plant node started with --injectable."""
 
-from __future__ import annotations
-
 import re
 from typing import Final
 

@@ -1,7 +1,5 @@
 """``can-rig``: the commands by name, each imported on its first call."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager

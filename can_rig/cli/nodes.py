@@ -1,7 +1,5 @@
 """``can-rig plant`` and ``can-rig controller``: one node each."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Iterator

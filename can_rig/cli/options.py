@@ -1,7 +1,5 @@
 """Options that commands share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -160,6 +158,17 @@ def window_options(function: Function) -> Function:
             f"{' on' if name == 'from' else ''}.",
         )(function)
     return function
+
+
+def out_option(what: str, *, required: bool = False) -> Callable[[Function], Function]:
+    """--out, the FILE of ``what``."""
+    return click.option(
+        "--out",
+        type=click.Path(path_type=Path, dir_okay=False),
+        required=required,
+        metavar="FILE",
+        help=what,
+    )
 
 
 force_option = click.option("--force", is_flag=True, help="Replace outputs that exist.")

@@ -1,7 +1,5 @@
 """``can-rig panel``: a web page on this machine to watch and touch a run."""
 
-from __future__ import annotations
-
 import click
 
 from can_rig.assessment.resolve import load

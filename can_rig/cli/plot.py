@@ -1,7 +1,5 @@
 """``can-rig plot``: signals of any log through any DBC, drawn for print."""
 
-from __future__ import annotations
-
 import difflib
 from collections import Counter
 from collections.abc import Mapping
@@ -10,7 +8,7 @@ from pathlib import Path
 import click
 
 from can_rig.cli.decoding import Asked, decoding_options
-from can_rig.cli.options import force_option
+from can_rig.cli.options import force_option, out_option
 from can_rig.cli.output import note, reading, say
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.message_decoder import MessageDecoder
@@ -23,12 +21,7 @@ from can_rig.views.signal_table import scenario_of
 @click.command("plot")
 @decoding_options
 @click.argument("signals", nargs=-1, required=True, metavar="SIGNAL...")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="The picture, FILE.png, .svg or .pdf.  [default: the log's name, .png]",
-)
+@out_option("The picture, FILE.png, .svg or .pdf.  [default: the log's name, .png]")
 @force_option
 def command(asked: Asked, signals: tuple[str, ...], out: Path | None, force: bool) -> None:
     """Draw SIGNALs of LOG: MESSAGE.Signal, or Signal if a single message has it."""

@@ -1,7 +1,5 @@
 """``can-rig replay``: a log through today's controller, onto a bus, or through another scenario."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from can_rig.buses.bus import open_bus
+from can_rig.cli.decoding import bus_and_file
 from can_rig.cli.diff import print_difference
 from can_rig.cli.options import (
     above_zero,
@@ -38,7 +37,6 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.replaying.estimator import refuse_output, replay_drive, write
 from can_rig.replaying.gaps import Gap, seconds, write_gaps
 from can_rig.replaying.pace import Paced, Pacer
-from can_rig.replaying.recorded_drive import buses_of
 from can_rig.replaying.replay import OpenLoop, Place, SignalComparison
 from can_rig.replaying.rig_frames import recorded
 from can_rig.results.source import Source, log_path, only_channel, source_of
@@ -267,7 +265,7 @@ def _recorded_drive(
         refuse_output(path, force)
     replayed = replay_drive(
         source,
-        buses_of(dbc),
+        {bus or "": Path(file) for bus, file in map(bus_and_file, dbc)},
         max_age_s,
         lambda log: reading(log, "reading"),
         lambda ticks: counting(source.scenario.name, "ticks", ticks),

@@ -1,7 +1,5 @@
 """``can-rig run``: refuse a bad scenario, run both nodes, leave a complete folder."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections import Counter

@@ -1,7 +1,5 @@
 """``can-rig scenarios``."""
 
-from __future__ import annotations
-
 import tomllib
 
 import click

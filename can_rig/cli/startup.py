@@ -5,8 +5,6 @@ unused optional dependencies and keep silent; errors of the operating system bec
 note comes before the control law compiles.
 """
 
-from __future__ import annotations
-
 import atexit
 import errno
 import gc

@@ -1,7 +1,5 @@
 """``can-rig stats``: what is in a log."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """``can-rig tune``."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from can_rig.cli.decoding import Asked, decoding_options
-from can_rig.cli.options import force_option
+from can_rig.cli.options import force_option, out_option
 from can_rig.cli.output import note, say
 from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
@@ -25,12 +25,7 @@ if TYPE_CHECKING:
 @click.command("view")
 @decoding_options
 @click.argument("other", type=click.Path(path_type=Path), required=False)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Write the page, FILE.html, and open no browser.",
-)
+@out_option("Write the page, FILE.html, and open no browser.")
 @force_option
 def command(asked: Asked, other: Path | None, out: Path | None, force: bool) -> None:
     """Show LOG in a browser: a run folder with its plant in motion, or a log through any DBC.

@@ -1,7 +1,5 @@
 """The control law as compiled C, in place of the compiled Python."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
 from functools import partial

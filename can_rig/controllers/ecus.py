@@ -3,8 +3,6 @@
 Frames in, frames out. Boards answer a bench over a link of bytes: ``support/bench.h`` says how.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import select

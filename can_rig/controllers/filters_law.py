@@ -1,7 +1,5 @@
 """A linear control law by its filters' numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Final
 

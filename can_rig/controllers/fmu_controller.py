@@ -1,7 +1,5 @@
 """An FMU as a controller: inputs set, one communication step of a tick, outputs read."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -1,7 +1,5 @@
 """A controller in a C shared library: ``controller.h`` states its functions."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections.abc import Sequence
@@ -49,9 +47,6 @@ class CAnswer(ctypes.Structure):
 
 class LibraryController:
     """The controller in a shared library; see ``protocol.Controller``.
-
-    Args:
-        setup: of the run.
 
     Raises:
         ScenarioError: no such library, a missing function, another version, or no controller.

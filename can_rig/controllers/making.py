@@ -1,7 +1,5 @@
 """The controller of a run by its name on the command line."""
 
-from __future__ import annotations
-
 from can_rig.controllers.filters_law import filters_law
 from can_rig.controllers.library import LibraryController
 from can_rig.controllers.our_law import PYTHON

@@ -1,7 +1,5 @@
 """The rig's own control law as a controller of a node."""
 
-from __future__ import annotations
-
 import math
 
 from can_rig.controllers.protocol import Answer, InNode, Inputs, NodeController, samples_in
@@ -13,11 +11,6 @@ from firmware_model.firmware import PYTHON_LAW, Firmware, Law
 
 class OurLaw:
     """``Firmware`` of a scenario at rest; see ``NodeController``.
-
-    Args:
-        scenario: the run.
-        network: its frames.
-        law: the implementation of the control law.
 
     Raises:
         ScenarioError: the design fails.

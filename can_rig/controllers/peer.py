@@ -1,7 +1,5 @@
 """A controller of one's own in a node: guarded, limited, and held where inputs are missing."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from numbers import Integral
@@ -63,10 +61,6 @@ def where_of(setup: ControllerSetup) -> str:
 
 class Peer:
     """A controller of one's own; see ``NodeController``.
-
-    Args:
-        setup: of the run.
-        make: constructs the controller.
 
     Raises:
         ScenarioError: the controller cannot be made, or fails at rest.

@@ -4,8 +4,6 @@ A node either steps a controller itself (`InNode`) or passes frames to a program
 node (`WholeNode`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -187,11 +185,7 @@ class Ecu(Protocol):
 
 @dataclass(frozen=True)
 class WholeNode:
-    """A whole controller node as a program.
-
-    Attributes:
-        start: creates the node.
-    """
+    """A whole controller node as a program."""
 
     start: Callable[[], Ecu]
 

@@ -1,7 +1,5 @@
 """What a controller of one's own is constructed with."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,11 +14,7 @@ from firmware_model.design.plants import Plant
 
 @dataclass(frozen=True)
 class ControllerSetup:
-    """The facts that a controller may use; the scenario has all of them.
-
-    Attributes:
-        scenario: the run.
-    """
+    """The facts that a controller may use; the scenario has all of them."""
 
     scenario: Scenario
     _asked: set[str] = field(default_factory=set, init=False, compare=False)

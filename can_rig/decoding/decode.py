@@ -14,8 +14,6 @@ J1939 message for a group, whatever the sender; the message gets an additional s
 ``SourceAddress``.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches

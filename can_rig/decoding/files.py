@@ -1,7 +1,5 @@
 """A whole log, decoded into files chunk by chunk; incomplete files are removed."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager

@@ -14,8 +14,6 @@ address answers with CTS, a request for packets. Source: SAE J1939-21, sections 
     TP.DT  EB00  number of the packet, from 1 | 7 bytes
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace

@@ -7,8 +7,6 @@ Time is exact, in ``time_s``. Only a date in Parquet is ``time``, a time stamp i
 nanosecond: PlotJuggler takes it for seconds, pandas for a date. CSV has nine decimal places.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path

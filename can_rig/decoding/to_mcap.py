@@ -4,8 +4,6 @@ Foxglove and PlotJuggler read both without a plugin; PlotJuggler skips channels 
 Source: the MCAP specification, and its registry of encodings (`json`, `jsonschema`).
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path

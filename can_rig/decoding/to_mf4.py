@@ -1,7 +1,5 @@
 """Decoded messages as ASAM MDF 4: a channel group for each message, a channel for each signal."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path

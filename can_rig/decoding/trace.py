@@ -1,7 +1,5 @@
 """Frames for a page: raw bytes, and the layouts of the signals in the bytes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final
 
@@ -23,11 +21,7 @@ PROTECTION: Final = ("Checksum", "AliveCounter", "Tick")
 
 
 class Kinds:
-    """Numbers the kinds of frames, by identifier, bus and message.
-
-    Args:
-        databases: of the messages.
-    """
+    """Numbers the kinds of frames, by identifier, bus and message."""
 
     def __init__(self, databases: Databases) -> None:
         self._decoder = Decoder(databases)

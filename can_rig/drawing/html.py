@@ -1,7 +1,5 @@
 """Common parts of the HTML pages: head, tables, a look that fits the pictures."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Iterable
 from itertools import zip_longest

@@ -5,8 +5,6 @@ Within the rig every plant has the columns of the car (``logs.columns``). In ``s
 of the scenario's signals.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Container, Sequence
 from typing import Final, NamedTuple

@@ -1,7 +1,5 @@
 """The look of every picture: few colours, of different greys in print, few dashes; scales."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Final, Literal
 

@@ -1,7 +1,5 @@
 """Curves of fewer points, without losing a peak."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The whole controller node in C, and a folder with its build files."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Mapping

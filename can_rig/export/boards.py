@@ -3,8 +3,6 @@
 Boards answer a bench over a link of bytes: ``support/bench.h`` says how.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import tempfile

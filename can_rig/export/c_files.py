@@ -6,8 +6,6 @@ innermost block around all its uses. Numbers that the source names become macros
 most 100 columns.
 """
 
-from __future__ import annotations
-
 import ast
 import math
 import re
@@ -302,13 +300,7 @@ def signature(typed: Typed, effects: Effects) -> str:
 
 
 class CFunction:
-    """Writes a function.
-
-    Args:
-        typed: the function.
-        effects: of the whole program.
-        precision: of its real numbers.
-    """
+    """Writes a function."""
 
     def __init__(self, typed: Typed, effects: Effects, precision: Precision) -> None:
         self._typed, self._types = typed, typed.types
@@ -602,10 +594,6 @@ _TITLES: Final = {"CONSTANTS": "Constants", "STATE": "State", "TABLE": "The cons
 
 class Names:
     """The named numbers of a program, each in its defining module.
-
-    Args:
-        program: the program.
-        precision: of its real numbers.
 
     Raises:
         ExportError: a number's name or a function's name would hide another name.

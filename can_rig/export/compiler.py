@@ -1,7 +1,5 @@
 """The host's C compiler."""
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import os

@@ -9,8 +9,6 @@ A condition is proven if the condition has decided the outcome both ways: maskin
 measures.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -60,7 +58,6 @@ class Decision:
     """A decision.
 
     Attributes:
-        file: the name of its file.
         lines: the line of each condition.
         texts: the conditions.
         tree: how they are joined.

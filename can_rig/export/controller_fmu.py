@@ -1,7 +1,5 @@
 """The controller as an FMU: its signals, or the node with its frames on a bus."""
 
-from __future__ import annotations
-
 from typing import Final
 from xml.etree import ElementTree as Xml
 

@@ -6,8 +6,6 @@ come from compiled objects. The stack is the deepest chain of calls, by the comp
 of each function.
 """
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections import Counter

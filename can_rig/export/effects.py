@@ -5,8 +5,6 @@ function that changes something stands beside names, literals and constants of t
 names cannot change during the expression, and structs without writers never change.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 
@@ -16,9 +14,6 @@ from can_rig.export.subset import Program, Typed
 
 class Effects:
     """The side effects of a program's functions.
-
-    Args:
-        program: the whole program.
 
     Attributes:
         changing: the structs that the program writes.

@@ -3,8 +3,6 @@
 The page shows the record and nothing else. What a missing tool would measure is None in the record.
 """
 
-from __future__ import annotations
-
 import hashlib
 import html
 import os

@@ -4,8 +4,6 @@ Compilers and analysers give the findings; gcov gives lines, ``conditions`` MC/D
 skipped.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The control law as files of C: the functions that its entry points need."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Collection

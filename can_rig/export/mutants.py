@@ -6,8 +6,6 @@ object code of the original, or without any, does not count. The trials kill a m
 differ from those of Python, that crashes, or that does not end.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import random
@@ -105,13 +103,7 @@ def mutants(file: str, text: str) -> Iterator[Mutant]:
 
 
 class _Bench:
-    """The programs of trials and self-test, of which each mutant replaces an object.
-
-    Args:
-        folder: an empty folder.
-        scenario: of the controller.
-        files: the whole export, text by file name.
-    """
+    """The programs of trials and self-test, of which each mutant replaces an object."""
 
     def __init__(self, folder: Path, scenario: Scenario, files: Mapping[str, str]) -> None:
         precision, blends = scenario.design.precision, "schedule.c" in files

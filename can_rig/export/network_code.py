@@ -3,8 +3,6 @@
 `support/frames.c` converts between a value and its steps, `network.c` between steps and bytes.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections import defaultdict
@@ -90,10 +88,6 @@ def signal_comment(
 
 class NetworkCode:
     """The frames of ``network`` as C.
-
-    Args:
-        scenario: the scenario.
-        network: its frames.
 
     Raises:
         ExportError: a signal that the node in C cannot carry.

@@ -1,7 +1,5 @@
 """Other names for an export, so that several exports link into one program."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from typing import Final

@@ -1,7 +1,5 @@
 """Where each exported file comes from, and the files that repeat and check the export."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from importlib.metadata import version

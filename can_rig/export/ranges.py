@@ -11,8 +11,6 @@ ranges grow from nothing until no assignment leaves them; a range that does not 
 infinity, and two more passes take back what no assignment needs.
 """
 
-from __future__ import annotations
-
 import ast
 import math
 from collections import Counter

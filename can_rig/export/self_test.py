@@ -3,8 +3,6 @@
 `support/self_test.c` compares.
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Iterator

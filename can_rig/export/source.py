@@ -39,14 +39,7 @@ LITERAL: Final = Scalar("a literal without a precision", "")
 
 @dataclass(frozen=True, eq=False)
 class CStruct:
-    """A struct of the target's memory.
-
-    Attributes:
-        module: the declaring module.
-        tag: its name in C.
-        declared: its declaration.
-        line: line of the declaration.
-    """
+    """A struct of the target's memory."""
 
     module: str
     tag: str
@@ -114,10 +107,7 @@ class Function:
     """A function of the target.
 
     Attributes:
-        module, tree: its place and its syntax.
         name, c_name: in Python, and in C, where all functions share one space of names.
-        parameters: names of its parameters.
-        docstring: the docstring, or empty.
         body: its statements, without the docstring.
     """
 

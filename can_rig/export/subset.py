@@ -112,16 +112,8 @@ class Program:
 class Typed:
     """A function with its types.
 
-    Args:
-        program: gets the callees.
-        function: the function.
-        arguments: types of its parameters.
-
     Attributes:
-        function: the function.
         names: types of all its names: parameters, then assigned names.
-        result: type of the result.
-        types: types of its expressions.
         calls: the called functions of the target, by call node.
 
     Raises:
@@ -518,10 +510,6 @@ class Typed:
 
     def _check_assigned(self, body: list[ast.stmt], known: set[str] | None) -> set[str] | None:
         """The names with a value after ``body``; None for unreachable code.
-
-        Args:
-            body: statements.
-            known: the names with a value before.
 
         Raises:
             ExportError: some way leads to a name without a value, or no way to a statement.

@@ -6,8 +6,6 @@ the designs, a change of speed precedes each step and reset.
 Programs run the law on random memory, and a controller node on random frames.
 """
 
-from __future__ import annotations
-
 import math
 import random
 import subprocess
@@ -499,15 +497,7 @@ class Trial:
 def random_trials(
     precision: Precision, seed: int, memories: int, ticks: int, blends: bool = False
 ) -> list[Trial]:
-    """Trials of any memory and any inputs, the same for the same ``seed``.
-
-    Args:
-        precision: of real numbers.
-        seed: of the generator.
-        memories: how many trials.
-        ticks: of each.
-        blends: whether the speed of the car changes.
-    """
+    """Trials of any memory and any inputs, the same for the same ``seed``."""
     random, trials = np.random.default_rng(seed), []
     for _ in range(memories):
         even = random.random() < 0.2  # equal operands for comparisons

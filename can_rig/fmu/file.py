@@ -3,9 +3,6 @@
 A ZIP archive may claim and hold anything, so the bounds count the bytes that come out.
 """
 
-from __future__ import annotations
-
-import difflib
 import zipfile
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +13,7 @@ import fmpy
 from fmpy.model_description import ValidationError, read_model_description
 from fmpy.simulation import settable_in_initialization_mode, settable_in_instantiated
 
-from can_rig.errors import ScenarioError, one_line
+from can_rig.errors import ScenarioError, did_you_mean, one_line
 from can_rig.logs.columns import TAKEN
 from can_rig.scenario.plant_settings import FMU, flat_parameters
 
@@ -260,8 +257,7 @@ class _Names:
 
     def _find(self, here: str, name: str, causality: str | None) -> Any:
         if name not in self._variables:
-            near = difflib.get_close_matches(name, self._variables, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"it has {self._some(causality)}"
+            hint = did_you_mean(name, self._variables, f"it has {self._some(causality)}")
             raise ScenarioError(f"{here}: the FMU has no such variable; {hint}")
         return self._variables[name]
 

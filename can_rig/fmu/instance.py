@@ -4,8 +4,6 @@ The FMU is unpacked, loaded and put at rest, advanced from tick to tick with its
 own solver or by CVODE, and removed together with its ``Instance``.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import shutil

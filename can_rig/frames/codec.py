@@ -598,11 +598,7 @@ class Transmitter:
 
 
 class Receiver:
-    """The receiving end of one frame: protection, then codec.
-
-    Args:
-        codec: the frame.
-    """
+    """The receiving end of one frame: protection, then codec."""
 
     def __init__(self, codec: MessageCodec) -> None:
         self.codec: Final = codec

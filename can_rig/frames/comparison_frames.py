@@ -1,7 +1,5 @@
 """The frames with which two nodes compare their scenarios: a key and its digest."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from struct import Struct

@@ -1,7 +1,5 @@
 """CAN databases: the shipped DBC files, and files in any format that cantools reads."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Collection

@@ -10,17 +10,17 @@ value.
 
 from __future__ import annotations
 
-import difflib
 import math
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 from cantools.database.can import Database, Message, Signal
 
-from can_rig.errors import DbcError
+from can_rig.errors import DbcError, did_you_mean
 from can_rig.frames.codec import ROLES, Coding, MessageCodec, Unpacked
 from can_rig.frames.databases import load_for
 from can_rig.frames.network import Network, require_distinct_data_ids, words_of
@@ -382,10 +382,10 @@ def _signal(database: Database, path: str | Path, key: str, name: str) -> tuple[
     of, _, signal = name.partition(".")
     messages = {message.name: message for message in database.messages}
     if of not in messages:
-        raise DbcError(f"{where}: {path} has no message {of}; {_hint(of, list(messages))}")
+        raise DbcError(f"{where}: {path} has no message {of}; {nearest(of, messages)}")
     signals = {each.name: each for each in messages[of].signals}
     if signal not in signals:
-        raise DbcError(f"{where}: message {of} has no signal {signal}; {_hint(signal, signals)}")
+        raise DbcError(f"{where}: message {of} has no signal {signal}; {nearest(signal, signals)}")
     return messages[of], signals[signal]
 
 
@@ -419,7 +419,7 @@ def _tick(
     if names[role] not in signals:
         raise DbcError(
             f"network.ticks.{role} = {names[role]!r}: {path}: message {message.name} has no such "
-            f"signal; {_hint(names[role], signals)}"
+            f"signal; {nearest(names[role], signals)}"
         )
     return signals[names[role]]
 
@@ -446,6 +446,7 @@ def bits_of(signal: Signal) -> tuple[int, ...]:
     return tuple(at // 8 * 8 + 7 - at % 8 for at in range(first + length - 1, first - 1, -1))
 
 
-def _hint(name: str, known: list[str] | dict[str, Signal]) -> str:
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean {near[0]}?" if near else f"it has {', '.join(list(known)[:8]) or 'none'}"
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The hint to the nearest of the ``known`` messages or signals, or to the first ones."""
+    first = ", ".join(islice(known, 8)) or "none"
+    return did_you_mean(name, known, f"it has {first}")

@@ -5,8 +5,6 @@ a constant for the data identifier. The E2E library computes the tables, so that
 contains the polynomial.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, Final
@@ -150,8 +148,10 @@ def frame_word(
     verdict: int,
 ) -> int:
     """The 8 bytes of a frame, the lowest first; see `MessageCodec.encode` and `Protector`."""
-    lsb, minimum, maximum, raw_minimum, raw_maximum, not_available = scales[row]
-    raw = int(raw_value(value, lsb, minimum, maximum, raw_minimum, raw_maximum, not_available))
+    lsb, minimum, maximum, _, _, not_available = scales[row]
+    raw = int(not_available)
+    if not math.isnan(value):
+        raw = int(np.rint(min(max(value, minimum), maximum) / lsb))
     bits = counter
     if codecs[row, MODE_SHIFT] != _NO_MODE:
         bits |= min(max(mode, 0), 3) << codecs[row, MODE_SHIFT]
@@ -172,52 +172,10 @@ def crc_of(data: int, of_id: int) -> int:
     return crc
 
 
-def raw_values(codec: MessageCodec, values: FloatArray) -> Ints:
-    """(n,) raw values; see `MessageCodec.to_raw`."""
-    limits = float(codec.lsb), float(codec.minimum), float(codec.maximum)
-    ends = int(codec.raw_minimum), int(codec.raw_maximum), int(codec.not_available)
-    return _raw(np.ascontiguousarray(values), limits, ends)
-
-
-@compiled
-def _raw(
-    values: FloatArray, limits: tuple[float, float, float], ends: tuple[int, int, int]
-) -> Ints:
-    lsb, minimum, maximum = limits
-    raw_minimum, raw_maximum, not_available = ends
-    raw = np.empty(len(values), np.int64)
-    for k in range(len(values)):
-        raw[k] = raw_value(
-            values[k], lsb, minimum, maximum, raw_minimum, raw_maximum, not_available
-        )
-    return raw
-
-
-@compiled
-def raw_value(
-    value: float,
-    lsb: float,
-    minimum: float,
-    maximum: float,
-    raw_minimum: float,
-    raw_maximum: float,
-    not_available: float,
-) -> float:
-    """The raw value of ``value``; see `MessageCodec.to_raw`."""
-    if math.isnan(value):
-        return not_available
-    if value >= maximum:
-        return raw_maximum
-    if value <= minimum:
-        return raw_minimum
-    rounded: float = np.rint(value / lsb)
-    return rounded
-
-
 def quantised(codec: MessageCodec, values: FloatArray) -> FloatArray:
     """(n,) ``values`` at the receiver; see `MessageCodec.quantise`."""
     if codec.lsb == 0.0:  # a float
         return np.array([codec.quantise(value) for value in values.tolist()])
-    received = raw_values(codec, values).astype(np.float64) * codec.lsb
-    received[np.isnan(values)] = np.nan
+    inside = np.clip(values, codec.minimum, codec.maximum)
+    received: FloatArray = np.rint(inside / codec.lsb) * codec.lsb + 0.0  # no -0.0: whole steps
     return received

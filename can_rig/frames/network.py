@@ -5,8 +5,6 @@ The DBC is the only source for frames: names, identifiers, units, scaling and ra
 while the DBC is loaded, so that the loop packs and unpacks a whole frame with one `Struct`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The frames of ``dbc/control.dbc``, which command a run from outside."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from typing import Final, Literal, NamedTuple, cast

@@ -1,7 +1,5 @@
 """Names of the columns of ``signals.csv``, which a user's plant may not take."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from firmware_model.law.status import Verdict

@@ -3,8 +3,6 @@
 libdeflate is twice as fast as zlib.
 """
 
-from __future__ import annotations
-
 import gzip
 import zlib
 from pathlib import Path

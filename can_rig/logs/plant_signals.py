@@ -1,7 +1,5 @@
 """The file beside a log that holds what the simulated plant reported and no frame carries."""
 
-from __future__ import annotations
-
 import zlib
 from itertools import islice
 from pathlib import Path

@@ -17,8 +17,6 @@ Time stamps are integers in nanoseconds, read digit by digit; only an `.mf4` may
 seconds since the start of the recording, which are rounded to the nearest nanosecond.
 """
 
-from __future__ import annotations
-
 import zlib
 from pathlib import Path
 from typing import Final

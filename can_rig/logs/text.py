@@ -5,8 +5,6 @@ the loop over lines for the format. Every compiled function gets the text and a 
 ends with a newline, which stops every function. Position -1 means "not found".
 """
 
-from __future__ import annotations
-
 import re
 import zlib
 from collections.abc import Callable, Iterator

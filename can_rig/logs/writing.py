@@ -44,11 +44,6 @@ Reading = Callable[[Log], Iterable[Frames]]
 def refuse_log(path: Path, force: bool, option: str = "--log") -> None:
     """Refuse an existing log, or a suffix without a writer.
 
-    Args:
-        path: the log.
-        force: replace an existing log.
-        option: the command-line option with the path.
-
     Raises:
         LogError: the reason.
     """

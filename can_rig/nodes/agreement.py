@@ -18,8 +18,6 @@ frames nor repeated offers are recorded; nodes started by one process share a sc
 digests.
 """
 
-from __future__ import annotations
-
 import os
 import secrets
 from collections.abc import Collection, Iterator, Mapping
@@ -269,10 +267,6 @@ def own_bus() -> str:
 
 def require_alone(scenario: Scenario, bus_name: str) -> None:
     """Refuse to start a rig where another rig or node is.
-
-    Args:
-        scenario: the rig's.
-        bus_name: the bus that others can join.
 
     Raises:
         BusError: an answer from another plant or controller node, or a missing bus.

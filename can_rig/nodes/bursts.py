@@ -6,8 +6,6 @@ first tick, a damaged frame, a frame of a third node, and in a run with frame fa
 the bus and in the log are equal.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from functools import cache

@@ -4,8 +4,6 @@ A node waits no longer than permitted, and not beyond a stop request. The clock 
 everywhere, so tests control the time.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import time
@@ -348,9 +346,6 @@ class Watchdog:
 
     def receive(self, tick: int) -> can.Message:
         """The next frame of any kind.
-
-        Args:
-            tick: the current tick, for the error message.
 
         Raises:
             SilentNodeError: no frame came within the permitted silence.

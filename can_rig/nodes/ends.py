@@ -4,8 +4,6 @@ The plant's end sends reference and feedback and judges the three answer frames;
 end receives the plant's frames and sends the answer.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence

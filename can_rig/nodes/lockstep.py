@@ -6,8 +6,6 @@ starts the controller's tick, the status ends the plant's tick. A command missin
 the status was therefore dropped, and no node waits for a dropped command.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections import deque

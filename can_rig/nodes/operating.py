@@ -1,7 +1,5 @@
 """Commands to a running simulation: sent to a plant node, read from a log, given to a run again."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -31,13 +29,7 @@ class Touch(NamedTuple):
 
 
 class OperatedBus:
-    """A bus that delivers the commands of a log at their recorded places.
-
-    Args:
-        bus: the plant node's bus.
-        network: the frames of the run.
-        told: the commands.
-    """
+    """A bus that delivers the commands of a log at their recorded places."""
 
     def __init__(self, bus: NodeBus, network: Network, told: Iterable[Touch]) -> None:
         self._bus = bus

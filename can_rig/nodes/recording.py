@@ -4,8 +4,6 @@ In lockstep a tick reaches the disk when the next tick begins. In real time a th
 a slow disk delays no tick. Without a bus, many ticks are written at once.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import threading

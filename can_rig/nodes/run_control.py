@@ -1,7 +1,5 @@
 """Commands to a running simulation: the plant node obeys, the controller node follows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 
@@ -183,10 +181,6 @@ class FollowedFaults:
 
     The plant node announces each obeyed command, in order and before the frames of the command's
     first tick. A damaged frame, or a frame out of sequence, has no effect.
-
-    Args:
-        scenario: the run.
-        faults: the faults to update.
     """
 
     def __init__(self, scenario: Scenario, faults: FrameFaults) -> None:

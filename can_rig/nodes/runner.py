@@ -1,7 +1,5 @@
 """A node from start to end: bus, log, watchdog, and final summary."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator

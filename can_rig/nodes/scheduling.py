@@ -1,7 +1,5 @@
 """Services of the operating system: one core for nodes in lockstep, real-time scheduling."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os

@@ -5,8 +5,6 @@ with a bus, one process without a bus, and the wall clock are ways to carry a ti
 through the ticks of each.
 """
 
-from __future__ import annotations
-
 import gc
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -61,11 +59,6 @@ class NodeSummary:
 
 def drive(carry: Carry, ticks: int, on_tick: OnTick) -> int:
     """Carry ``ticks`` ticks, or as many as a stop request leaves; returns the number completed.
-
-    Args:
-        carry: carries a tick.
-        ticks: of the run.
-        on_tick: called with the number of ticks completed.
 
     Raises:
         RigError: from ``carry``.

@@ -3,8 +3,6 @@
 What is recorded is what the two nodes record in lockstep, byte for byte.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
@@ -55,10 +53,6 @@ def run_without_bus(
 
 class RunWithoutBus:
     """A scenario, recorded as it goes on.
-
-    Args:
-        scenario: the run.
-        log: where to record.
 
     Raises:
         ScenarioError: a scenario that cannot run.

@@ -1,7 +1,5 @@
 """The live state of a bus: frames in, rows and lamps for the screen out."""
 
-from __future__ import annotations
-
 import math
 import time
 from bisect import bisect_right

@@ -1,7 +1,5 @@
 """The contents of the screen for every browser, and the requests of the page."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math

@@ -5,8 +5,6 @@ does not know the token and cannot forge the Origin header. If a foreign site po
 of its own to 127.0.0.1 (DNS rebinding), the Host header carries the foreign name.
 """
 
-from __future__ import annotations
-
 import asyncio
 import hmac
 import json
@@ -100,12 +98,7 @@ HEADERS: Final = {
 
 
 class Server:
-    """The server of one start.
-
-    Args:
-        screen: what is shown.
-        access: who may look and touch.
-    """
+    """The server of one start."""
 
     def __init__(self, screen: Screen, access: Access) -> None:
         self._screen = screen
@@ -226,10 +219,6 @@ class Shown:
 
 def serve(shown: Shown, say: Callable[..., None]) -> None:
     """Serve until Ctrl-C or SIGTERM; either signal also ends a run that the panel started.
-
-    Args:
-        shown: scenario and bus of the command line.
-        say: gets the addresses.
 
     Raises:
         BusError: the port or the bus cannot be opened.

@@ -1,7 +1,5 @@
 """The displayed run: started by the panel, or already running on the named bus."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

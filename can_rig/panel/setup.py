@@ -1,7 +1,5 @@
 """What the page needs before the first row: curves, charts, and faults with the plant's names."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any, Final

@@ -6,8 +6,6 @@ command; the scaled command enters the lag. A dead actuator therefore fades with
 waiting for its dead time.
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np
@@ -40,15 +38,8 @@ class Actuator:
 
 def actuator_limits(settings: PlantSettings, tick_s: float) -> FloatArray:
     """A row for each actuator: largest magnitude of a command, largest change in a tick."""
-    return np.array(
-        [
-            [largest, rate * tick_s]
-            for largest, rate in (
-                settings.torque_actuator.limits,
-                settings.force_difference_actuator.limits,
-            )
-        ]
-    )
+    actuators = settings.torque_actuator, settings.force_difference_actuator
+    return np.array([each.limits for each in actuators]) * (1.0, tick_s)
 
 
 class FollowedCommand:
@@ -65,7 +56,7 @@ class FollowedCommand:
 
     def __init__(self, stage: Stage, tick_s: float, parts: int) -> None:
         whole, late = split_ticks(stage.dead_time_s / tick_s)
-        self._waiting = deque([0.0] * (whole + 1))
+        self._waiting = deque([0.0] * (whole + 1), maxlen=whole + 1)
         self._changes_late = late > 0.0
         lag_a, lag_b, lag_c = stage.realisation
         k = len(lag_a)
@@ -92,7 +83,6 @@ class FollowedCommand:
         """The means over the parts of the tick that begins with the arrival of ``command``."""
         new, old = (left * each for each in self._entering(command))
         self._waiting.append(command)
-        self._waiting.popleft()
         means = []
         for phi, gamma, gamma_old in self._steps:
             self._state[-1] = 0.0

@@ -4,8 +4,6 @@ A linear plant is exact; a plant class advances in steps far shorter than the la
 signals beyond the frames, by names that end in a unit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

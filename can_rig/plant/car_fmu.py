@@ -1,7 +1,5 @@
 """The car of a scenario, with its actuators and its sensors, as an FMU; inputs of the scenario."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from pathlib import Path
@@ -146,9 +144,9 @@ def write_inputs(scenario: Scenario, path: Path, force: bool) -> list[FaultSetti
         LogError: the file exists and ``force`` is not given, or the file cannot be written.
     """
     network, faults = network_of(scenario), PlantFaults(scenario)
-    ticks, sensor = scenario.ticks, scenario.plant.sensor
+    ticks = scenario.ticks
     samples = range(ticks + 1)
-    noise = NoiseColumns(scenario.seed, sensor.noise_mps2, sensor.lag_s, scenario.tick_s)
+    noise = NoiseColumns.of(scenario)
     bias, _ = faults.of_witnesses(samples)
     wanted = quantised(network.reference, reference(scenario))
     columns = {

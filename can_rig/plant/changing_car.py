@@ -1,7 +1,5 @@
 """The car of a scenario with a drive or with disturbances: speed and world change around it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 

@@ -4,8 +4,6 @@ The signals equal those of a run on a lockstep bus bit for bit; a linear plant r
 times faster.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

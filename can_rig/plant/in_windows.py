@@ -4,8 +4,6 @@ A window of ticks goes along with the run: what happens from outside is worked o
 and of what is done it keeps what a late command or reading looks back on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Final, TypeVar
 
@@ -66,8 +64,7 @@ class LoopInWindows:
         self._speed = None if network.speed is None else speeds_at_ticks(scenario)
         self._delivery = delivery(scenario, network)
         self._faults = PlantFaults(scenario)
-        sensor = scenario.plant.sensor
-        self._noise = NoiseColumns(scenario.seed, sensor.noise_mps2, sensor.lag_s, scenario.tick_s)
+        self._noise = NoiseColumns.of(scenario)
         self._looks_back = scenario.latency_ticks + self._faults.latest_ticks + 1
         if isinstance(plant, SampledPlant):  # what waits in a dead time is reported as it acts
             self._looks_back += max(plant.dead_ticks) + 1

@@ -20,8 +20,6 @@ contact stick until friction μ F_z is reached, from the trailing edge on. The w
 factors multiply both the friction and the stiffness of an axle.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -16,8 +16,6 @@
             return self.dstar_mps2
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping

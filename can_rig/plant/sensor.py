@@ -4,8 +4,6 @@ A linear car includes dead time and filter in its matrix, exactly. The filter he
 classes, which provide only samples.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 
@@ -20,35 +18,8 @@ from firmware_model.design.actuator_dynamics import Stage
 from firmware_model.law.structs import FloatArray
 
 
-class SensorNoise:
-    """Noise of the scenario's seed with the sensor's rms, tick by tick.
-
-    White noise, or noise coloured by the sensor's filter: n(k) = p n(k-1) + √(1 - p²) w(k), p =
-    e^{-T/τ}. The rms describes the coloured noise.
-    """
-
-    def __init__(self, scenario: Scenario) -> None:
-        sensor = scenario.plant.sensor
-        self._rms = sensor.noise_mps2
-        self._memory = math.exp(-scenario.tick_s / sensor.lag_s) if sensor.lag_s > 0.0 else 0.0
-        self._random = np.random.Generator(np.random.PCG64(scenario.seed))
-        self._last: float | None = None
-
-    def next(self) -> float:
-        """m/s², of the next tick."""
-        if self._rms == 0.0:
-            return 0.0
-        drawn = self._rms * float(self._random.standard_normal())
-        if self._last is None:  # a stationary start
-            self._last = drawn
-        else:
-            fresh = math.sqrt(1.0 - self._memory**2)
-            self._last = self._memory * self._last + fresh * drawn
-        return self._last
-
-
 def noise(scenario: Scenario) -> FloatArray:
-    """(ticks,), the noise of every tick of a run, m/s²: what ``SensorNoise`` draws one by one.
+    """(ticks,), the noise of every tick of a run, m/s².
 
     Never change the array: the same run without its fault shares the array.
     """
@@ -63,7 +34,10 @@ def _drawn(seed: int, sensor: SensorSettings, tick_s: float, ticks: int) -> Floa
 
 
 class NoiseColumns:
-    """The noise of a sensor, many ticks at once; see ``noise``.
+    """The noise of a sensor, some ticks at a time; see ``noise``.
+
+    White noise, or noise coloured by the sensor's filter: n(k) = p n(k-1) + √(1 - p²) w(k), p =
+    e^{-T/τ}. The rms describes the coloured noise, from the first tick on.
 
     Args:
         seed: of the scenario, or derived from it for another sensor.
@@ -79,6 +53,12 @@ class NoiseColumns:
         self._rms = rms
         self._memory = math.exp(-tick_s / lag_s) if lag_s > 0.0 else 0.0
         self._last: FloatArray = np.empty(0)
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "NoiseColumns":
+        """The noise on D* of a run of ``scenario``."""
+        sensor = scenario.plant.sensor
+        return cls(scenario.seed, sensor.noise_mps2, sensor.lag_s, scenario.tick_s)
 
     def next(self, ticks: int) -> FloatArray:
         """(ticks,), in the unit of the rms, of the next ones."""
@@ -110,7 +90,7 @@ class FilteredSamples:
 
     def __init__(self, stage: Stage, step_s: float) -> None:
         whole, part = split_ticks(stage.dead_time_s / step_s)
-        self._samples = deque([0.0] * (whole + 2))
+        self._samples = deque([0.0] * (whole + 2), maxlen=whole + 2)
         self._part = part
         self._tau = stage.lag_s / step_s
         self._delayed = self._filtered = 0.0
@@ -118,7 +98,6 @@ class FilteredSamples:
     def next(self, sample: float) -> float:
         """The sensor's present reading, from the present ``sample``."""
         self._samples.append(sample)
-        self._samples.popleft()
         newer, older = self._samples[1], self._samples[0]
         delayed = newer + self._part * (older - newer)
         if self._tau == 0.0:

@@ -1,10 +1,7 @@
 """The simulated car of a run: its actuators, late by the bus's latency, the plant, its sensor."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +11,7 @@ from can_rig.plant.behind import ClassBehind
 from can_rig.plant.changing_car import ChangingCar, plant_of
 from can_rig.plant.disturbances import Disturbances
 from can_rig.plant.faults.plant_faults import FaultsByTick
-from can_rig.plant.sensor import SensorNoise
+from can_rig.plant.sensor import NoiseColumns
 from can_rig.plant.witnesses import Said, SensesByTick
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import LATE, SENSOR, distorted, limited, sensor_reading
@@ -46,8 +43,9 @@ class SimulatedPlant:
         self._latency_ticks = scenario.latency_ticks
         at_once = 1 + self._faults.latest_ticks
         # Earliest arrival of a command or a reading; before, the line holds rest values.
-        self._on_the_way = deque([(0.0, 0.0)] * (self._latency_ticks + at_once))
-        self._readings = deque([0.0] * at_once)
+        commands = self._latency_ticks + at_once
+        self._on_the_way = deque([(0.0, 0.0)] * commands, commands)
+        self._readings = deque([0.0] * at_once, at_once)
         limits = actuator_limits(scenario.plant, scenario.tick_s)
         self._limits = limits.tolist()
         self._is_limited = bool(np.isfinite(limits).any())
@@ -57,7 +55,7 @@ class SimulatedPlant:
         self.reported: Mapping[str, float] = {}
         """The signals of the last tick beyond the frames."""
         self._said = 0.0
-        self._noise = SensorNoise(scenario)
+        self._noise = NoiseColumns.of(scenario)
         self._senses = None
         if network is not None and network.witnesses:
             self._senses = SensesByTick(scenario, network.witnesses, self._faults.latest_ticks)
@@ -87,11 +85,12 @@ class SimulatedPlant:
         if self._senses is not None:
             self.said = self._senses.take(self._tick, self._plant.witnesses, self._told)
         now = self._faults.at(self._tick)
-        reading = float(sensor_reading(self._read, now.bias, self._noise.next(), self._resolution))
+        (noise,) = self._noise.next(1).tolist()
+        reading = float(sensor_reading(self._read, now.bias, noise, self._resolution))
         if now.rows is None:
             return reading
         fault = now.rows[SENSOR]
-        _shift(self._readings, reading)
+        self._readings.append(reading)
         late = self._readings[-1 - int(fault[LATE])]
         self._said = float(distorted(late, self._said, fault))
         return self._said
@@ -109,9 +108,8 @@ class SimulatedPlant:
         """
         now = self._faults.at(tick)
         self._tick = tick + 1
-        _shift(
-            self._on_the_way,
-            (self._actuators[0].hear(command_1), self._actuators[1].hear(command_2)),
+        self._on_the_way.append(
+            (self._actuators[0].hear(command_1), self._actuators[1].hear(command_2))
         )
         reached_1, reached_2 = self._told = self._on_the_way[-1 - self._latency_ticks]
         if now.rows is not None:
@@ -128,8 +126,3 @@ class SimulatedPlant:
     def _faulty(self, channel: int, fault: FloatArray) -> float:
         late = self._on_the_way[-1 - self._latency_ticks - int(fault[LATE])][channel]
         return float(distorted(late, self._reached[channel], fault))
-
-
-def _shift(line: deque[Any], newest: Any) -> None:
-    line.append(newest)
-    line.popleft()

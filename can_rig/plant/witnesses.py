@@ -3,8 +3,6 @@
 Every loop takes the same compiled ``sense``, so each says the same bits.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections import deque
@@ -57,12 +55,7 @@ class PlantRead(AnyPlant, Protocol):
 
 
 class Senses:
-    """Noise, faults and constants of the further sensors of a scenario.
-
-    Args:
-        scenario: the run.
-        codecs: the sensors' frames, in their order.
-    """
+    """Noise, faults and constants of the further sensors of a scenario."""
 
     def __init__(self, scenario: Scenario, codecs: Sequence[MessageCodec]) -> None:
         self._sensors = scenario.sensors
@@ -207,13 +200,7 @@ def hearing_of(scenario: Scenario, network: Network) -> Hearing:
 
 
 class Sensed:
-    """A plant in a loop without a bus, whose further sensors somebody hears.
-
-    Args:
-        scenario: the run.
-        network: its frames.
-        plant: at rest.
-    """
+    """A plant in a loop without a bus, whose further sensors somebody hears."""
 
     def __init__(self, scenario: Scenario, network: Network, plant: PlantRead) -> None:
         self._plant, self._tick = plant, 0

@@ -16,8 +16,6 @@ Where the log has the speed, the design follows the speed. Below the lowest desi
 controller is in STANDBY.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext

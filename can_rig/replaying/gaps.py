@@ -14,8 +14,6 @@
 | `clock step`    | the time stamps went back, or on by 0.1 s more than the ticks                  |
 """
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from collections.abc import Iterable, Sequence

@@ -5,8 +5,6 @@ over hours. A frame behind its deadline, on a slow machine or after a backward s
 clock, is sent at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass

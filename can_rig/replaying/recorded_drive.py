@@ -7,9 +7,6 @@ word, such as "not available". A tick without D* is BLIND.
 Every signal has the times of its own frames, whatever the message, the bus and the rate.
 """
 
-from __future__ import annotations
-
-import difflib
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -25,6 +22,7 @@ from can_rig.decoding.decode import Decoder
 from can_rig.decoding.message_decoder import MessageColumns, joined
 from can_rig.errors import DbcError, LogError, ScenarioError
 from can_rig.frames.databases import load_for
+from can_rig.frames.foreign_frames import nearest
 from can_rig.logs.frames import NS_PER_S
 from can_rig.results.source import Reading, Source
 from can_rig.scenario.log_signals import ROLES, LogSignal, terms, unit_factor
@@ -40,16 +38,6 @@ DISORDER_NS: Final = NS_PER_S // 10
 
 Buses = Mapping[str, Path]
 """The database of each bus; "" for the buses without an entry."""
-
-
-def buses_of(named: Sequence[str]) -> dict[str, Path]:
-    """The databases of ``FILE`` or ``BUS=FILE``, by bus."""
-    found = {}
-    for name in named:
-        bus, equals, file = name.partition("=")
-        whole = not equals or Path(name).exists()
-        found["" if whole else bus] = Path(name if whole else file)
-    return found
 
 
 @dataclass(frozen=True)
@@ -238,8 +226,7 @@ def _require(
             continue
         role = next(role for role, of_role in wanted.items() if each in of_role)
         there = inside if found else [m.name for _, db in some for m in db.messages]
-        near = difflib.get_close_matches(signal if found else of, there, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(there[:8]) or 'none'}"
+        hint = nearest(signal if found else of, there)
         what = f"message {of} has no signal {signal}" if found else f"no message {of}"
         files = ", ".join(str(file) for file, _ in some)
         raise DbcError(f"network.signals.{role} = {name!r}: {files}: {what}; {hint}")

@@ -8,8 +8,6 @@ ticks, if a second frame agrees; then the node is told to skip the ticks, and th
 Without a second frame the node receives the frame as usual and rejects the frame as forged.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -121,11 +119,7 @@ class _Signal:
 
 
 class Comparison:
-    """Compares tick by tick.
-
-    Args:
-        network: the frames.
-    """
+    """Compares tick by tick."""
 
     def __init__(self, network: Network) -> None:
         codecs = tuple(network)[INPUTS:]

@@ -1,7 +1,5 @@
 """The rig's frames in a log, and the late or missing answers of a run in real time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple

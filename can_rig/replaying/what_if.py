@@ -1,7 +1,5 @@
 """What if: the reference of a log through the closed loop of a changed scenario, and both runs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

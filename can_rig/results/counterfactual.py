@@ -1,7 +1,5 @@
 """Runs beside the recorded run: without its fault, noise or compensation; the applied commands."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Curves and charts of a run, as the bench shows them, live and recorded."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Whose fault it was: verdict and evidence of each tick, and in words."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import replace
@@ -32,10 +30,6 @@ CERTAIN: Final = 1e12  # largest recorded evidence; at rest without noise it has
 
 class Reasoning:
     """The control law with the inputs of a run's controller, tick by tick.
-
-    Args:
-        scenario: the run.
-        network: the frames.
 
     Raises:
         ScenarioError: the design fails.

@@ -12,8 +12,6 @@ disturbances and compensation. So the metrics also judge a healthy car, and a ca
 use D* of the car before its sensor.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple

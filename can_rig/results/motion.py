@@ -4,8 +4,6 @@ Position and heading are integrated from speed, yaw rate and side slip as the pl
 The lane is the path of the car without faults, disturbances and noise.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,7 +1,5 @@
 """The run folder: its files, and their completion from ``bus.log``."""
 
-from __future__ import annotations
-
 import json
 import platform
 from contextlib import suppress

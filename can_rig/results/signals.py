@@ -83,12 +83,7 @@ class Signals:
         )
 
     def write_csv(self, path: Path, plant: PlantSettings) -> None:
-        """Write the columns of frames, plant, verdict and sensors; an empty cell means nan.
-
-        Args:
-            path: the file.
-            plant: gives the names of the columns.
-        """
+        """Write the columns of frames, plant, verdict and sensors; an empty cell means nan."""
         further = self.plant | self.whose_fault | self.sensors
         columns = [*(getattr(self, name) for name in ON_THE_BUS), *further.values()]
         names = column_names(plant, self.plant)

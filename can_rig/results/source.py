@@ -1,7 +1,5 @@
 """The source of a replay or a view: a log or a run folder, with its scenario."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

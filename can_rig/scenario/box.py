@@ -7,8 +7,6 @@ damping and steady gain. Channels with separate transfer functions vary separate
 ``speed_2``); channels with a shared state, and unstable modes, vary together (``speed``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final

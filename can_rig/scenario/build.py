@@ -1,7 +1,5 @@
 """Plant, design and target of a scenario, for the firmware and for the figures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import asdict, replace

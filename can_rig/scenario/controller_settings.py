@@ -1,7 +1,5 @@
 """The keys of the controller: the rig's own law, or a controller of one's own."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Annotated, Any, Final, Literal
 

@@ -1,7 +1,5 @@
 """The tables of a scenario's controller: one design, or a design for each speed of its drive."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from can_rig.errors import ScenarioError

@@ -3,8 +3,6 @@
 A scenario has any number of disturbances; pushes add up, and friction factors multiply.
 """
 
-from __future__ import annotations
-
 from dataclasses import fields
 from typing import Annotated, Final, Literal
 

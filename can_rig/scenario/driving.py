@@ -1,7 +1,5 @@
 """The inputs of a drive: the speed over time, and the designs at the speeds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace

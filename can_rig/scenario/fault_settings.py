@@ -4,8 +4,6 @@ The first word of a kind names the place: an actuator, a sensor, or a frame in t
 has any number of faults; faults may overlap.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Annotated, Final, Literal, get_args
 

@@ -1,7 +1,5 @@
 """Objects of Python as values of a scenario's keys: arrays, linear systems, filters, classes."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 from collections.abc import Iterator, Mapping

@@ -7,7 +7,6 @@ number from the rest of the scenario.
 
 from __future__ import annotations
 
-import difflib
 import json
 import re
 import sys
@@ -21,7 +20,7 @@ from typing import Any, Final
 
 from pydantic import TypeAdapter, ValidationError
 
-from can_rig.errors import ScenarioError
+from can_rig.errors import ScenarioError, did_you_mean
 from can_rig.scenario import shipped
 from can_rig.scenario.controller_settings import LIBRARY
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
@@ -334,8 +333,7 @@ def toml_file(what: str, name: str, known: Mapping[str, Path]) -> tuple[Path, di
     if path.exists() and not path.is_file():
         raise ScenarioError(f"{what} {name}: not a file; must be a TOML file or a shipped {what}")
     if not path.is_file():
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"shipped ones: {', '.join(known)}"
+        hint = did_you_mean(name, known, f"shipped ones: {', '.join(known)}")
         raise ScenarioError(f"{what} {name}: no such {what} and no such file; {hint}")
     try:
         return path, tomllib.loads(path.read_text(encoding="utf-8"))
@@ -402,12 +400,7 @@ def written_by(scenario: Scenario) -> dict[str, Any]:
 
 
 def keys_of(name: str, table: Mapping[str, Any]) -> dict[str, Any]:
-    """The keys of a fault, disturbance or sensor: the first, and all with another value than usual.
-
-    Args:
-        name: of the list.
-        table: every key and value.
-    """
+    """The keys of a fault, disturbance or sensor: the first, and all that differ from the usual."""
     first = next(iter(table))
     return {first: table[first], **_other_values(table, asdict(NEW[name]))}
 
@@ -473,17 +466,21 @@ def with_values(draft: Draft, values: Mapping[str, Any]) -> Draft:
             from_bus = value == FROM_BUS
             if from_bus:
                 continue
-        *path, last = key.split(".")
-        table = tables
-        for part in path:
-            table = table.setdefault(part, {})
-        table[last] = value
+        _put(tables, key, value)
     try:
         for key in tables.keys() & set(LISTS):
             tables[key] = _with_listed(key, getattr(scenario, key), tables[key])
         return Draft(_with(scenario, tables), from_bus)
     except ScenarioError as error:
         raise ScenarioError(f"scenario {scenario.name}: {error}") from None
+
+
+def _put(tables: dict[str, Any], key: str, value: Any) -> None:
+    """Set the value of a key with dots, in tables within tables."""
+    *path, last = key.split(".")
+    for part in path:
+        tables = tables.setdefault(part, {})
+    tables[last] = value
 
 
 def _with_listed(name: str, given: tuple[Any, ...], changes: Mapping[str, Any]) -> tuple[Any, ...]:
@@ -520,11 +517,7 @@ def model_follows(values: Mapping[str, Any], key: str) -> bool:
     """
     mark = object()
     plant: dict[str, Any] = _copied(values.get("plant", {}))
-    *path, last = key.split(".")
-    table = plant
-    for part in path:
-        table = table.setdefault(part, {})
-    table[last] = mark
+    _put(plant, key, mark)
     return value_in(_believed(plant, values.get("model", {})), key) is mark
 
 

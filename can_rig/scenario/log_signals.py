@@ -4,8 +4,6 @@ A role is ``"Message.Signal"``, a table of a signal with its unit and factor, or
 whose values are added: the torque of an electric power steering and that of the driver.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

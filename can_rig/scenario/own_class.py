@@ -1,7 +1,5 @@
 """A class or function of the user's, by its import path: found, called, its failures in a line."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import math

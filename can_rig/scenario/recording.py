@@ -6,8 +6,6 @@ past midnight) or dates with times (ISO 8601). Absolute times count from the fir
 **Columns** are found by their header. A recording without a header has the time and one column.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import re

@@ -1,7 +1,5 @@
 """The reference of D*, one value per tick."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Final
 

@@ -1,7 +1,5 @@
 """pydantic's findings about settings as one line: ``key = value: must be ...``."""
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import math

@@ -1,7 +1,5 @@
 """A cache for repeated computations from equal settings."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from functools import wraps
 from pathlib import Path

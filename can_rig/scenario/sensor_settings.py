@@ -4,8 +4,6 @@ Defaults are figures of clusters in series: a yaw rate in steps of 0.005 °/s an
 steps of 1.274e-4 g every 10 ms, with the noise and the corner of the sensors in them.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass as plain_dataclass
 from typing import Annotated, Final, Literal, get_args

@@ -4,8 +4,6 @@ For any other scenario with a linear plant, Figs. 2.2-2.4 show the fault estimat
 compensated loss.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

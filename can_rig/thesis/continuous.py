@@ -12,8 +12,6 @@ python-control and advanced by exact matrix exponentials, tick by tick, however 
   from the state of the phase before.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

@@ -6,8 +6,6 @@ The upper panel of each figure shows what the thesis prints: the continuous solu
 the firmware thin and dark on top of it. The lower one shows the difference of the two.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path

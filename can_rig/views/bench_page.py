@@ -1,7 +1,5 @@
 """A page that shows a run or a log: every signal, charts added and removed, the plant in motion."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Mapping
 from dataclasses import replace
@@ -44,14 +42,7 @@ COLOURS: Final = ("blue", "orange", "green", "violet", "gold", "pink", "grey")
 
 
 def recording_of_run(scenario: Scenario, network: Network, signals: Signals, log: Log) -> Recording:
-    """What the page shows of a run: the charts of its report, and further signals to choose from.
-
-    Args:
-        scenario: the executed scenario.
-        network: its frames.
-        signals: the recorded signals.
-        log: the whole log.
-    """
+    """What the page shows of a run: the charts of its report, and further signals on demand."""
     names = names_of(scenario.plant)
     of, shown = recording(scenario, network, signals), table_of(signals, "", scenario)
     of.height = 0
@@ -83,13 +74,7 @@ def _of_state(of: Recording, chart: Chart) -> bool:
 def recording_of_log(
     messages: Mapping[str, MessageColumns], start_ns: int, frames: Collected
 ) -> Recording:
-    """What the page shows of a log: its signals by message, at times from the log's start.
-
-    Args:
-        messages: decoded columns by name.
-        start_ns: when the recording began.
-        frames: the frames of the trace.
-    """
+    """What the page shows of a log: its signals by message, at times from the log's start."""
     pairs = [(name, signal) for name, columns in messages.items() for signal in columns.signals]
     drawn = [curve_of(messages[name], signal, start_ns) for name, signal in pairs]
     some = [at for at, (time_s, _) in enumerate(drawn) if len(time_s)]

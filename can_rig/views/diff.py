@@ -1,8 +1,5 @@
 """Two runs compared: the settings key by key, the signals row by row."""
 
-from __future__ import annotations
-
-import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final
@@ -10,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from can_rig import paged
-from can_rig.errors import LogError
+from can_rig.errors import LogError, did_you_mean
 from can_rig.scenario.settings import Scenario, leaves
 from can_rig.views.signal_table import SignalTable, in_s
 from firmware_model.law.structs import FloatArray
@@ -118,8 +115,7 @@ def compare(a: SignalTable, b: SignalTable, tolerances: Mapping[str, float]) -> 
     names = [name for name in a.recorded if name in b.recorded]
     for name in tolerances:
         if name not in names:
-            near = difflib.get_close_matches(name, names, 1, 0.5)
-            hint = f"did you mean {near[0]}?" if near else f"must be one of {', '.join(names)}"
+            hint = did_you_mean(name, names, f"must be one of {', '.join(names)}", 0.5)
             raise LogError(f"--tolerance {name}: not a signal of both runs; {hint}")
     time_ns = a.time_ns
     rows_a: Any = slice(None)

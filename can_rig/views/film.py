@@ -1,7 +1,5 @@
 """A run as a film: the car on its lane beside the car without compensation, or another plant."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

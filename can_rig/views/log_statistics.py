@@ -4,8 +4,6 @@ Everything is counted chunk by chunk; memory grows with the identifiers and with
 recording, not with its frames.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The pictures of two compared runs, of a log's signals and of the bus load."""
 
-from __future__ import annotations
-
 import datetime
 from collections import Counter
 from collections.abc import Mapping, Sequence

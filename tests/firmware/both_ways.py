@@ -1,7 +1,5 @@
 """What a module prints compiled, and what interpreted."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The thesis's car behind lags, designed for several speeds."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,12 +1,9 @@
 """Where compiled code is kept, and what happens where it cannot be."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
 from collections import defaultdict
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,9 +17,7 @@ from firmware_model import compiled
 from firmware_model.law import controller
 
 
-def test_another_state_of_what_a_file_imports_has_another_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_state_of_what_a_file_imports_has_another_folder(tmp_path, monkeypatch):
     """Numba looks at the file of the cached function alone, not at what that calls.
 
     Modification times do not matter: hostfs of a user-mode kernel, for one, has no parts of a
@@ -69,7 +64,7 @@ def nothing() -> None:
     pass
 
 
-def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch):
     calls = []
 
     def njit(cache, **options):  # type: ignore[no-untyped-def]
@@ -84,7 +79,7 @@ def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch: pytest.MonkeyPat
     assert calls == [(True, options), (False, options)]
 
 
-def test_only_a_whole_run_lets_go_of_the_lock(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_whole_run_lets_go_of_the_lock(monkeypatch):
     """A tick of a node keeps the lock: releasing costs a wait for the next owner."""
     monkeypatch.setattr(compiled, "njit", lambda cache, **options: lambda function: options)
     options: list[Any] = [
@@ -94,7 +89,7 @@ def test_only_a_whole_run_lets_go_of_the_lock(monkeypatch: pytest.MonkeyPatch) -
     assert not options[2]["_nrt"]
 
 
-def test_what_runs_on_the_target_cannot_allocate(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_runs_on_the_target_cannot_allocate(monkeypatch):
     monkeypatch.setattr(config, "DISABLE_JIT", 0)
 
     @compiled.firmware
@@ -105,7 +100,7 @@ def test_what_runs_on_the_target_cannot_allocate(monkeypatch: pytest.MonkeyPatch
         reserve(3)
 
 
-def test_who_waits_for_the_law_to_be_compiled_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_waits_for_the_law_to_be_compiled_is_told(monkeypatch):
     def compile_one(function: Any) -> None:
         dispatcher = SimpleNamespace(py_func=function)
         with event.trigger_event("numba:compile", data={"dispatcher": dispatcher}):
@@ -124,7 +119,7 @@ def test_who_waits_for_the_law_to_be_compiled_is_told(monkeypatch: pytest.Monkey
     assert told == [1]
 
 
-def test_code_for_two_types_compiled_at_once_is_not_mixed_up(tmp_path: Path) -> None:
+def test_code_for_two_types_compiled_at_once_is_not_mixed_up(tmp_path):
     """The order of two processes that lets numba put the code for one type in place of the other's.
 
     Both have read an index without entries; the first writes its code last.
@@ -161,7 +156,7 @@ for code in double.overloads.values():
 
 
 @pytest.mark.compiled
-def test_code_that_two_processes_have_cached_for_two_types_has_two_names(tmp_path: Path) -> None:
+def test_code_that_two_processes_have_cached_for_two_types_has_two_names(tmp_path):
     """A process that loads both would run the one for the other."""
     (tmp_path / "two_types.py").write_text(MODULE)
     folders = {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}

@@ -94,7 +94,7 @@ def test_nothing_is_known_of_a_fault_at_rest():
     assert firmware.hypotheses.signatures.rows[BIAS_ROW].candidate.age == 1.0
 
 
-def test_a_plant_driven_by_the_commands_themselves_changes_no_bit() -> None:
+def test_a_plant_driven_by_the_commands_themselves_changes_no_bit():
     table = build(design(steer_by_wire(), DesignSpecification()), Target(0.001, latency_ticks=1))
     ours, driven = Firmware(table), Firmware(table)
     for k in range(60):
@@ -104,7 +104,7 @@ def test_a_plant_driven_by_the_commands_themselves_changes_no_bit() -> None:
         driven.drive_with(answer.command_1, answer.command_2)
 
 
-def test_measured_inputs_drive_the_estimate() -> None:
+def test_measured_inputs_drive_the_estimate():
     """A motor that applies nothing, as a measurement shows, leaves no mismatch to D* at rest."""
     table = build(design(steer_by_wire(), DesignSpecification()), Target(0.001, latency_ticks=1))
     told, untold = Firmware(table), Firmware(table)

@@ -1,7 +1,5 @@
 """The assertions hold of right filters, and fail of wrong ones by what they say."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import subprocess
@@ -37,7 +35,7 @@ def changed(made: Filter, section: int, coefficient: int, factor: float) -> Filt
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("system", [BUTTERWORTH, BUTTERWORTH.to_ss(), COEFFICIENTS])
-def test_they_hold(system: Any, rule: Any, precision: Any) -> None:
+def test_they_hold(system, rule, precision):
     made = discretise(system, TICK_S, rule, precision=precision)
     testing.assert_follows(made, system, tick_s=TICK_S, rule=rule)
     testing.assert_follows(made, system, [1.0, 30.0, 300.0], tick_s=TICK_S, rule=rule, within=1e-4)
@@ -48,7 +46,7 @@ def test_they_hold(system: Any, rule: Any, precision: Any) -> None:
     testing.assert_bit_identical(made, np.linspace(-1.0, 1.0, 300))
 
 
-def test_they_hold_of_feedthrough_and_prewarp_and_a_constant() -> None:
+def test_they_hold_of_feedthrough_and_prewarp_and_a_constant():
     made = discretise(LEAD, TICK_S, prewarp_rad_per_s=50.0)
     testing.assert_follows(made, LEAD, tick_s=TICK_S, rule="tustin", prewarp_rad_per_s=50.0)
     testing.assert_dc_gain(made, 0.01)
@@ -64,14 +62,14 @@ def test_they_hold_of_feedthrough_and_prewarp_and_a_constant() -> None:
 
 
 @pytest.mark.parametrize("system", [BUTTERWORTH, LEAD])
-def test_the_step_of_a_held_input_is_exact(system: Any) -> None:
+def test_the_step_of_a_held_input_is_exact(system):
     held = discretise(system, TICK_S, "zoh")
     testing.assert_step(held, system, within=1e-12)
     testing.assert_follows(held, system, tick_s=TICK_S, rule="zoh")
     testing.assert_dc_gain(held, system)
 
 
-def test_theory_without_digits_says_nothing() -> None:
+def test_theory_without_digits_says_nothing():
     """1e20 less 1e20 leaves no digit of the theory."""
     lost = signal.StateSpace([[-1.0]], [[1e10]], [[-1e10]], [[1e20]])
     testing.assert_follows(
@@ -82,7 +80,7 @@ def test_theory_without_digits_says_nothing() -> None:
 @pytest.mark.every_case
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("coefficient", range(5))
-def test_a_coefficient_that_is_off_is_seen(rule: Any, coefficient: int) -> None:
+def test_a_coefficient_that_is_off_is_seen(rule, coefficient):
     made = discretise(COEFFICIENTS, TICK_S, rule)
     section = int(np.argmax(made.sections.coefficients[:, coefficient] != 0.0))
     wrong = changed(made, section, coefficient, 1.0 + (0.1 if rule == "zoh" else 1e-9))
@@ -92,7 +90,7 @@ def test_a_coefficient_that_is_off_is_seen(rule: Any, coefficient: int) -> None:
         testing.assert_follows(wrong, COEFFICIENTS, tick_s=TICK_S, rule=rule)
 
 
-def test_another_filter_is_seen() -> None:
+def test_another_filter_is_seen():
     made = discretise(BUTTERWORTH, TICK_S)
     other = signal.ZerosPolesGain(*signal.butter(4, 310.0, analog=True, output="zpk"))
     with pytest.raises(AssertionError, match=r"at 300 rad/s the response is"):
@@ -106,7 +104,7 @@ def test_another_filter_is_seen() -> None:
 
 
 @pytest.mark.parametrize(("pole", "margin"), [(0.0, 0.0), (1.0, 0.0), (-1.0, 0.01), (-1e-13, 0.0)])
-def test_stability_is_by_the_stored_coefficients(pole: float, margin: float) -> None:
+def test_stability_is_by_the_stored_coefficients(pole, margin):
     made = discretise(ZeroPoleGain((), (pole,), 1.0), TICK_S)
     if margin or pole >= 0.0:
         with pytest.raises(AssertionError, match=r"a pole at \|z\| = .*: must be inside"):
@@ -157,20 +155,18 @@ REFUSED: dict[str, tuple[Any, str]] = {
 
 @pytest.mark.every_case
 @pytest.mark.parametrize("kind", REFUSED)
-def test_what_cannot_be_compared_is_refused_in_one_line(kind: str) -> None:
+def test_what_cannot_be_compared_is_refused_in_one_line(kind):
     asked, message = REFUSED[kind]
     with pytest.raises(ParameterError, match=message):
         asked()
 
 
-def test_a_number_of_any_library_is_a_gain() -> None:
+def test_a_number_of_any_library_is_a_gain():
     for one in (1, 1.0, np.float32(1.0), np.int64(1)):
         testing.assert_dc_gain(MADE, one)
 
 
-def test_float32_that_computes_less_exactly_than_it_could_is_seen(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_float32_that_computes_less_exactly_than_it_could_is_seen(monkeypatch):
     """With half of the digits of float32 the same filter is outside its bound."""
     made = discretise(([1.0], [0.001, 1.0]), TICK_S)
     run = Filter.run
@@ -187,7 +183,7 @@ def test_float32_that_computes_less_exactly_than_it_could_is_seen(
         testing.assert_float32_follows(made, np.ones(100))
 
 
-def test_a_bit_that_differs_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bit_that_differs_is_seen(monkeypatch):
     made = discretise(BUTTERWORTH, TICK_S)
     run = Filter.run
     monkeypatch.setattr(Filter, "run", lambda self, u: np.nextafter(run(self, u), math.inf))
@@ -195,7 +191,7 @@ def test_a_bit_that_differs_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
         testing.assert_bit_identical(made)
 
 
-def test_the_bound_of_a_run_is_that_of_the_worst_input() -> None:
+def test_the_bound_of_a_run_is_that_of_the_worst_input():
     """One section, y[k] = s: by hand, the rounding of each tick's state decays by 1 + α1."""
     alpha = -0.5
     sections = Sections(np.array([[0.0, 1.0, 0.0, -alpha, 0.0]]), TICK_S)
@@ -206,14 +202,14 @@ def test_the_bound_of_a_run_is_that_of_the_worst_input() -> None:
     assert run_error(sections, 1000, "float64") == pytest.approx(by_hand * 2.0**-29, rel=1e-12)
 
 
-def test_interpreted_is_interpreted() -> None:
+def test_interpreted_is_interpreted():
     state = biquad.at_rest("float32")
     made = discretise(BUTTERWORTH, TICK_S, precision="float32")
     step = getattr(biquad.advance, "py_func", biquad.advance)
     assert type(step(made.cascade, state, np.float32(1.0))) is np.float32
 
 
-def test_another_tick_and_another_rule_are_seen() -> None:
+def test_another_tick_and_another_rule_are_seen():
     low_pass = ([100.0], [1.0, 100.0])
     with pytest.raises(AssertionError, match=r"a tick of 0.1 s: 0.001 s is meant"):
         testing.assert_follows(discretise(low_pass, 0.1), low_pass, **MEANT)
@@ -236,7 +232,7 @@ def in_every_form(zpk: Any) -> list[Filter]:
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 5])
-def test_coefficients_of_scipy_follow_theory_and_other_ticks_and_rules_do_not(order: int) -> None:
+def test_coefficients_of_scipy_follow_theory_and_other_ticks_and_rules_do_not(order):
     analog = signal.butter(order, 300.0, analog=True, output="zpk")
     system = signal.ZerosPolesGain(*analog)
     for made in in_every_form(signal.bilinear_zpk(*analog, fs=1.0 / TICK_S)):
@@ -249,7 +245,7 @@ def test_coefficients_of_scipy_follow_theory_and_other_ticks_and_rules_do_not(or
             testing.assert_follows(made, system, **MEANT)
 
 
-def test_a_run_from_coefficients_is_scipys() -> None:
+def test_a_run_from_coefficients_is_scipys():
     zpk = signal.butter(3, 0.1, output="zpk")
     u = np.random.default_rng(5).standard_normal(300)
     expected = signal.sosfilt(signal.zpk2sos(*zpk), u)
@@ -286,7 +282,7 @@ REFUSED_COEFFICIENTS: dict[str, tuple[Any, str]] = {
 
 @pytest.mark.every_case
 @pytest.mark.parametrize("kind", REFUSED_COEFFICIENTS)
-def test_wrong_coefficients_are_refused_in_one_line(kind: str) -> None:
+def test_wrong_coefficients_are_refused_in_one_line(kind):
     asked, message = REFUSED_COEFFICIENTS[kind]
     with pytest.raises(DesignError, match=message):
         asked()
@@ -310,7 +306,7 @@ float hidden(float *s, float u) { static float x; x = 0.5f*x + u; return x + 0.0
 
 
 @pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+def library(tmp_path_factory):
     """Filters in C, compiled as their author would; the Butterworth filter in float."""
     folder = tmp_path_factory.mktemp("c")
     sos = signal.zpk2sos(*signal.bilinear_zpk(*OF_FOUR, fs=1.0 / TICK_S))
@@ -324,7 +320,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
 OF_FOUR = signal.butter(4, 300.0, analog=True, output="zpk")
 
 
-def test_a_c_function_is_the_filter_that_it_should_be(library: ctypes.CDLL) -> None:
+def test_a_c_function_is_the_filter_that_it_should_be(library):
     of_four = signal.ZerosPolesGain(*OF_FOUR)
     made = Filter.from_c(library.df1, states=8, tick_s=TICK_S)
     testing.assert_follows(made, of_four, **MEANT)
@@ -336,7 +332,7 @@ def test_a_c_function_is_the_filter_that_it_should_be(library: ctypes.CDLL) -> N
     np.testing.assert_allclose(low_pass.run(np.ones(50)), expected, atol=1e-14)
 
 
-def test_coefficients_of_cmsis_are_the_filter_that_cmsis_runs() -> None:
+def test_coefficients_of_cmsis_are_the_filter_that_cmsis_runs():
     """The signs of a1 and a2 as CMSIS-DSP's own code takes them."""
     dsp = pytest.importorskip("cmsisdsp")
     sos = signal.zpk2sos(*signal.bilinear_zpk(*OF_FOUR, fs=1.0 / TICK_S))
@@ -359,20 +355,20 @@ C_REFUSED = {
 
 @pytest.mark.every_case
 @pytest.mark.parametrize("kind", C_REFUSED)
-def test_a_c_function_that_is_no_filter_is_refused(library: ctypes.CDLL, kind: str) -> None:
+def test_a_c_function_that_is_no_filter_is_refused(library, kind):
     name, states, message = C_REFUSED[kind]
     with pytest.raises(DesignError, match=message):
         Filter.from_c(getattr(library, name), states=states, tick_s=TICK_S)
 
 
 @pytest.mark.parametrize("function", [abs, None, b"step"])
-def test_a_function_of_python_is_no_c_function(function: object) -> None:
+def test_a_function_of_python_is_no_c_function(function):
     with pytest.raises(ParameterError, match=r"function is a .*: must be a function of a library"):
         Filter.from_c(function, states=1, tick_s=TICK_S)
 
 
 @pytest.mark.parametrize("within", [math.nan, math.inf, -1e-3])
-def test_a_deviation_that_allows_everything_or_nothing_is_refused(within: float) -> None:
+def test_a_deviation_that_allows_everything_or_nothing_is_refused(within):
     other, made = ([90.0], [1.0, 100.0]), discretise(([100.0], [1.0, 100.0]), TICK_S)
     for compare in (
         lambda: testing.assert_follows(made, other, tick_s=TICK_S, rule="tustin", within=within),
@@ -383,14 +379,14 @@ def test_a_deviation_that_allows_everything_or_nothing_is_refused(within: float)
             compare()
 
 
-def test_a_bound_of_its_own_sees_what_one_for_all_let_pass() -> None:
+def test_a_bound_of_its_own_sees_what_one_for_all_let_pass():
     """A coefficient 1e-7 off in a zero-order hold of order 4: 1e-5 of the largest passed."""
     made = changed(discretise(BUTTERWORTH, TICK_S, "zoh"), 0, 1, 1.0 + 1e-7)
     with pytest.raises(AssertionError, match="theory"):
         testing.assert_follows(made, BUTTERWORTH, tick_s=TICK_S, rule="zoh")
 
 
-def test_the_step_of_coefficients_needs_the_rule() -> None:
+def test_the_step_of_coefficients_needs_the_rule():
     of = BUTTERWORTH.to_ss()
     a, b, c, d, _ = signal.cont2discrete((of.A, of.B, of.C, of.D), TICK_S, "zoh")
     made = Filter.from_state_space(a, b, c, d, tick_s=TICK_S)

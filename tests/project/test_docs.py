@@ -1,7 +1,5 @@
 """What the documentation says can be followed, typed or run, can be."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import runpy
@@ -9,7 +7,6 @@ import shlex
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -38,19 +35,19 @@ def ids(page: Path) -> str:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=ids)
-def test_every_file_that_it_names_is_there(page: Path) -> None:
+def test_every_file_that_it_names_is_there(page):
     for name in re.findall(rf"`((?:{PLACES})/[\w./-]*)", prose(page.read_text("utf-8"))):
         assert (ROOT / name).exists(), name
 
 
-def test_the_index_has_every_page() -> None:
+def test_the_index_has_every_page():
     index = text_of("docs/README.md")
     for page in (ROOT / "docs").glob("*.md"):
         assert page.name == "README.md" or f"]({page.name})" in index
 
 
 @pytest.fixture
-def own_controllers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+def own_controllers(tmp_path, monkeypatch):
     """Goes to a folder with the controllers of the page on controllers."""
 
     def go() -> None:
@@ -66,9 +63,7 @@ def own_controllers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable
 
 
 @pytest.mark.parametrize("line", RIG)
-def test_a_command_parses_and_its_scenario_loads(
-    line: str, own_controllers: Callable[[], None]
-) -> None:
+def test_a_command_parses_and_its_scenario_loads(line, own_controllers):
     if "mypi" in line or "pi.so" in line:
         own_controllers()
     _, name, *arguments = shlex.split(line)
@@ -86,7 +81,7 @@ def test_a_command_parses_and_its_scenario_loads(
 
 
 @pytest.mark.parametrize(("page", "line"), LINES)
-def test_every_other_line_calls_a_tool_that_is_there(page: str, line: str) -> None:
+def test_every_other_line_calls_a_tool_that_is_there(page, line):
     program = line.split(maxsplit=1)[0]
     if program.startswith("./tools/"):
         assert (ROOT / program).stat().st_mode & 0o111
@@ -95,7 +90,7 @@ def test_every_other_line_calls_a_tool_that_is_there(page: str, line: str) -> No
 
 
 @pytest.mark.parametrize("page", PAGES, ids=ids)
-def test_every_command_that_the_text_mentions_is_there(page: Path) -> None:
+def test_every_command_that_the_text_mentions_is_there(page):
     assert set(re.findall(r"`can-rig ([a-z]+)", page.read_text("utf-8"))) <= set(COMMANDS)
 
 
@@ -103,7 +98,7 @@ CHASSIS = ROOT / "tests" / "rig" / "own_frames" / "motorola.dbc"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=ids)
-def test_every_scenario_loads(page: Path, tmp_path: Path) -> None:
+def test_every_scenario_loads(page, tmp_path):
     for block in blocks(page.read_text("utf-8"), "toml"):
         tomllib.loads(block)
         file = tmp_path / "my-car.toml"
@@ -123,7 +118,7 @@ RUN = (
 
 
 @pytest.mark.parametrize("page", RUN)
-def test_its_python_runs(page: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_its_python_runs(page, tmp_path, capsys):
     code = "\n".join(blocks(text_of(page), "python"))
     assert code
     (tmp_path / "page.py").write_text(code, "utf-8")
@@ -133,7 +128,7 @@ def test_its_python_runs(page: str, tmp_path: Path, capsys: pytest.CaptureFixtur
             test(*[tmp_path] * len(inspect.signature(test).parameters))
 
 
-def test_the_test_of_a_filter_is_short_and_runs_by_pytest_alone(tmp_path: Path) -> None:
+def test_the_test_of_a_filter_is_short_and_runs_by_pytest_alone(tmp_path):
     code = blocks(text_of("docs/unit-test-a-filter.md"), "python")[0]
     assert len(code.splitlines()) <= 6
     (tmp_path / "test_of_the_docs.py").write_text(code, "utf-8")
@@ -148,7 +143,7 @@ def test_the_test_of_a_filter_is_short_and_runs_by_pytest_alone(tmp_path: Path) 
     assert "1 passed" in done.stdout, done.stdout
 
 
-def test_every_python_block_is_run_by_some_test() -> None:
+def test_every_python_block_is_run_by_some_test():
     with_python = {ids(page) for page in PAGES if blocks(page.read_text("utf-8"), "python")}
     assert with_python == {
         *RUN,  # above
@@ -159,7 +154,7 @@ def test_every_python_block_is_run_by_some_test() -> None:
     }
 
 
-def test_the_plant_of_ones_own_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_plant_of_ones_own_is_one(tmp_path, monkeypatch):
     (code,) = blocks(text_of("docs/scenarios.md"), "python")
     (tmp_path / "mycar_of_the_docs.py").write_text(code, "utf-8")
     monkeypatch.chdir(tmp_path)
@@ -172,7 +167,7 @@ def test_the_plant_of_ones_own_is_one(tmp_path: Path, monkeypatch: pytest.Monkey
     assert settled == pytest.approx(1.0)  # 0.02 m/s² per N m, after twenty time constants
 
 
-def test_nothing_in_the_repository_cites_a_page_that_is_not_there() -> None:
+def test_nothing_in_the_repository_cites_a_page_that_is_not_there():
     pages = {page.name for page in PAGES} | {"commands.md", "index.md"}  # made by tools/website
     traps = re.findall(r"^(\d+)\. \*\*", text_of("docs/traps.md"), re.MULTILINE)
     assert traps == [str(number) for number in range(1, len(traps) + 1)]

@@ -1,7 +1,5 @@
 """The commands of docs/logs.md, the README and the tutorials, run in their order."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex
@@ -68,7 +66,7 @@ def follow(text: str) -> None:
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """An empty working directory with the frames and the documentation."""
     for name in ("dbc", "docs"):
         (tmp_path / name).symlink_to(ROOT / name)
@@ -76,7 +74,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_commands_and_the_example_of_the_log_page(folder: Path) -> None:
+def test_the_commands_and_the_example_of_the_log_page(folder):
     text = text_of("docs/logs.md")
     run_in_order([line for line in command_lines(text) if line.startswith("can-rig ")], *SHORT)
     for name in ("demo.csv", "demo.mf4", "gaps.csv", "demo.png", "apart.png"):
@@ -88,7 +86,7 @@ def test_the_commands_and_the_example_of_the_log_page(folder: Path) -> None:
     assert names["table"]["DStar"].tolist() == expected
 
 
-def test_the_commands_of_the_readme(folder: Path) -> None:
+def test_the_commands_of_the_readme(folder):
     lines = command_lines(text_of("README.md"))
     run_in_order([line for line in lines if line.startswith("can-rig ")], *SHORT)
     what_if = json.loads((folder / "runs" / "uncompensated" / "run.json").read_text("utf-8"))
@@ -96,9 +94,7 @@ def test_the_commands_of_the_readme(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("name", TUTORIALS)
-def test_a_tutorial_runs_as_printed(
-    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tutorial_runs_as_printed(name, folder, monkeypatch):
     few = "can_rig.assessment.tuning.search.grid"  # the whole grid takes long
     monkeypatch.setattr(few, lambda scenario: grid(scenario)[::12])
     follow(text_of(f"docs/{name}"))

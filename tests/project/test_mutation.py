@@ -1,7 +1,5 @@
 """tools/mutation: its changes, and its account of noticed and unnoticed changes."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import shutil
@@ -15,7 +13,7 @@ TOOLS = Path(__file__).parents[2] / "tools"
 
 
 @pytest.fixture(autouse=True)
-def as_scripts(monkeypatch: pytest.MonkeyPatch) -> None:
+def as_scripts(monkeypatch):
     monkeypatch.syspath_prepend(str(TOOLS))
 
 
@@ -41,13 +39,13 @@ def as_scripts(monkeypatch: pytest.MonkeyPatch) -> None:
         ("zip(a, strict=True)", {"pass"}),
     ],
 )
-def test_what_a_line_becomes(line: str, expected: set[str]) -> None:
+def test_what_a_line_becomes(line, expected):
     from mutation_sites import mutants
 
     assert {mutant.after for mutant in mutants(line)} == expected
 
 
-def test_only_an_assignment_that_replaces_a_value_is_left_out() -> None:
+def test_only_an_assignment_that_replaces_a_value_is_left_out():
     from mutation_sites import mutants
 
     source = "def f(a):\n    b = a\n    c = a\n    c = b\n    a = c\n    return a\n"
@@ -55,7 +53,7 @@ def test_only_an_assignment_that_replaces_a_value_is_left_out() -> None:
     assert dropped == [3, 4, 5]  # line 2 defines b
 
 
-def test_a_mutant_is_the_module_with_one_line_changed() -> None:
+def test_a_mutant_is_the_module_with_one_line_changed():
     from mutation_sites import mutants
 
     source = '"""µ."""\nx = "µ", 1 + a  # why\n\ny = (\n    2 *\n    a)\n'
@@ -66,7 +64,7 @@ def test_a_mutant_is_the_module_with_one_line_changed() -> None:
     assert ("2 * a)", "(2 / a))") in {(m.before, m.after) for m in mutants(source)}
 
 
-def test_each_mutant_of_the_product_is_another_module() -> None:
+def test_each_mutant_of_the_product_is_another_module():
     import mutation
 
     every = mutation.sites(mutation.modules())
@@ -86,9 +84,7 @@ def on(value):
 """
 
 
-def test_what_a_mutant_changes_is_changed_in_a_session_that_has_imported_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_mutant_changes_is_changed_in_a_session_that_has_imported_it(tmp_path, monkeypatch):
     """A constant wherever it has been imported to; what else is made on import is not reached."""
     from mutation import functions, swap
 
@@ -127,7 +123,7 @@ def test_within():
 
 
 @pytest.fixture
-def project(tmp_path: Path) -> Path:
+def project(tmp_path):
     """A checkout of one module, its tests and the tool."""
     for name in ("can_rig", "firmware_model", "dbc", "tests/rig", "tests/firmware"):
         (tmp_path / name).mkdir(parents=True)
@@ -157,7 +153,7 @@ def run(project: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_what_survives_is_told_until_a_test_notices(project: Path) -> None:
+def test_what_survives_is_told_until_a_test_notices(project):
     done = run(project)
     assert done.returncode == 1, done.stderr
     (survivor,) = [line for line in done.stdout.splitlines() if line.startswith("survived")]
@@ -170,7 +166,7 @@ def test_what_survives_is_told_until_a_test_notices(project: Path) -> None:
     assert "survived" not in done.stderr
 
 
-def test_tests_that_fail_anyway_prove_nothing(project: Path) -> None:
+def test_tests_that_fail_anyway_prove_nothing(project):
     (project / "tests" / "rig" / "test_clip.py").write_text("def test_no():\n    assert False\n")
     done = run(project)
     assert done.returncode == 1
@@ -184,7 +180,7 @@ def test_tests_that_fail_anyway_prove_nothing(project: Path) -> None:
         ("steps = [1]\nstep = steps.pop\n", "tests/rig, imported anew, fails"),
     ],
 )
-def test_a_copy_that_breaks_half_way_proves_nothing(project: Path, code: str, failing: str) -> None:
+def test_a_copy_that_breaks_half_way_proves_nothing(project, code, failing):
     """The first mutant's test removes a file: all that follow fail, and not for their change."""
     (project / "can_rig" / "clip.py").unlink()
     (project / "tests" / "rig" / "test_clip.py").unlink()

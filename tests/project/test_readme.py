@@ -1,7 +1,5 @@
 """The README is a screen of purpose and use, and the page of the commands is complete."""
 
-from __future__ import annotations
-
 import re
 
 import click
@@ -14,16 +12,16 @@ from tests.project.pages import command_lines, table, text_of
 README, COMMANDS = text_of("README.md"), text_of("docs/commands.md")
 
 
-def test_the_two_commands_come_first() -> None:
+def test_the_two_commands_come_first():
     tools = [line.split()[0] for line in command_lines(README) if line.startswith("./tools/")]
     assert tools == ["./tools/run", "./tools/test"]
 
 
-def test_it_stays_short() -> None:
+def test_it_stays_short():
     assert len(README.encode()) < 4_000
 
 
-def test_every_command_is_listed_and_every_listed_command_is_there() -> None:
+def test_every_command_is_listed_and_every_listed_command_is_there():
     listed = [
         name
         for cell, *_ in table(COMMANDS, "command")
@@ -32,14 +30,14 @@ def test_every_command_is_listed_and_every_listed_command_is_there() -> None:
     assert sorted(listed) == sorted(main.list_commands(click.Context(main)))
 
 
-def test_the_exit_statuses_are_those_of_the_errors() -> None:
+def test_the_exit_statuses_are_those_of_the_errors():
     listed = {int(cell) for cell, *_ in table(COMMANDS, "exit status")}
     kinds: list[type[errors.RigError]] = [errors.RigError, *errors.RigError.__subclasses__()]
     found = {error.exit_status for error in kinds}
     assert listed == found | {0, 1, errors.INTERRUPTED}
 
 
-def test_the_files_of_a_run_folder_are_named() -> None:
+def test_the_files_of_a_run_folder_are_named():
     for page in (README, text_of("docs/results.md")):
         for name in (LOG, SIGNALS, SUMMARY, REPORT):
             assert f"`{name}`" in page

@@ -1,7 +1,5 @@
 """tools/release: builds that run far from the checkout, and releases that must be refused."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil
@@ -21,7 +19,7 @@ pytestmark = pytest.mark.skipif(shutil.which("git") is None, reason="no git here
 
 
 @pytest.fixture(scope="module")
-def released(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def released(tmp_path_factory):
     """The files of this checkout as a version of their own, committed to another repository."""
     folder = tmp_path_factory.mktemp("release") / "checkout"
     listed = ["git", "-c", "safe.directory=*", "ls-files", "-z", "--cached", "--others"]
@@ -57,7 +55,7 @@ def release(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
-def test_wheel_and_sdist_run_far_from_the_checkout(released: Path, tmp_path: Path) -> None:
+def test_wheel_and_sdist_run_far_from_the_checkout(released, tmp_path):
     """The wheel holds the packages, the frames and the scenarios, and no tests."""
     done = release(released, "--out", str(tmp_path / "dist"))
     assert done.returncode == 0, done.stderr
@@ -85,9 +83,7 @@ def test_wheel_and_sdist_run_far_from_the_checkout(released: Path, tmp_path: Pat
         ("", "", "", "exists; raise the version in pyproject.toml"),
     ],
 )  # fmt: skip
-def test_what_is_not_ready_is_refused_in_one_line(
-    released: Path, file: str, old: str, new: str, reason: str
-) -> None:
+def test_what_is_not_ready_is_refused_in_one_line(released, file, old, new, reason):
     version = (released / "pyproject.toml").read_text().partition('\nversion = "')[2].split('"')[0]
     if file:
         text = (released / file).read_text()

@@ -1,7 +1,5 @@
 """docs/results.md has every column of signals.csv, every key of run.json and every metric."""
 
-from __future__ import annotations
-
 import json
 import re
 from typing import Any
@@ -19,7 +17,7 @@ RESULTS = text_of("docs/results.md")
 
 
 @pytest.fixture(scope="module")
-def summary(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def summary(tmp_path_factory):
     """The run.json of a short run."""
     from click.testing import CliRunner
 
@@ -38,23 +36,23 @@ def names(heading: str) -> list[str]:
     return [name for cell, *_ in table(RESULTS, heading) for name in re.findall(r"`(\w+)`", cell)]
 
 
-def test_columns_of_signals() -> None:
+def test_columns_of_signals():
     car = plant_behind(PlantSettings(), 0.001)
     sensors = [each.column for each in USUAL.values()]
     reported = car.report(0.0, 0.0, 1.0, 1.0)
     assert names("column") == [*COLUMNS, *reported, SPEED, VERDICT, *EVIDENCE, *sensors]
 
 
-def test_keys_of_run_json(summary: dict[str, Any]) -> None:
+def test_keys_of_run_json(summary):
     assert set(names("key")) == {*summary, "realtime"}
 
 
-def test_metrics(summary: dict[str, Any]) -> None:
+def test_metrics(summary):
     assert sorted(names("metric")) == sorted(summary["metrics"])
 
 
 @pytest.mark.parametrize("heading", ["column", "metric"])
-def test_units_are_those_of_the_names(heading: str) -> None:
+def test_units_are_those_of_the_names(heading):
     for row in table(RESULTS, heading):
         name = row[0].strip("`")
         assert row[1] == unit(name), name

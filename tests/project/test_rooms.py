@@ -1,7 +1,5 @@
 """The house: rooms that one can take in at a glance, and imports that only go down."""
 
-from __future__ import annotations
-
 import ast
 import shutil
 import subprocess
@@ -47,11 +45,11 @@ def sources(*folders: str) -> list[Path]:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_beside_the_rooms_lies_only_what_all_of_them_need(package: str) -> None:
+def test_beside_the_rooms_lies_only_what_all_of_them_need(package):
     assert {path.stem for path in (CHECKOUT / package).glob("*.py")} == ROOTS[package]
 
 
-def test_nothing_else_was_committed_at_the_top_level() -> None:
+def test_nothing_else_was_committed_at_the_top_level():
     if not (CHECKOUT / ".git").exists() or not shutil.which("git"):
         pytest.skip("no checkout of git, or no git, to tell what was committed")
     command = ["git", "-c", "safe.directory=*", "ls-files"]  # whoever owns the checkout
@@ -97,7 +95,7 @@ def imports_within_functions(path: Path) -> list[str]:
     return sorted(name for name in names if name.split(".")[0] in PACKAGES)
 
 
-def test_only_commands_and_heavy_libraries_excuse_an_import_within_a_function() -> None:
+def test_only_commands_and_heavy_libraries_excuse_an_import_within_a_function():
     """It may keep a heavy library out of a light command; it may not hide a circle."""
     unexcused = {
         name_of(path): late

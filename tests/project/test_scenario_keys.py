@@ -1,7 +1,5 @@
 """docs/scenario-keys.md says what the settings say."""
 
-from __future__ import annotations
-
 import copy
 import re
 from collections.abc import Iterator
@@ -17,11 +15,11 @@ SCHEMA: dict[str, Any] = TypeAdapter(Scenario).json_schema()
 
 
 @pytest.fixture
-def schema() -> dict[str, Any]:
+def schema():
     return copy.deepcopy(SCHEMA)
 
 
-def test_the_page_is_up_to_date() -> None:
+def test_the_page_is_up_to_date():
     assert scenario_keys.page(SCHEMA) == scenario_keys.PAGE.read_text(encoding="utf-8"), (
         "the settings have changed: run tools/scenario_keys"
     )
@@ -39,7 +37,7 @@ def tables(section: str, values: dict[str, Any]) -> Iterator[tuple[str, dict[str
             yield from tables(f"{section}.{key}".lstrip("."), table)
 
 
-def test_it_has_every_key_of_a_scenario_with_its_default() -> None:
+def test_it_has_every_key_of_a_scenario_with_its_default():
     text = scenario_keys.PAGE.read_text(encoding="utf-8")
     parts = dict(part.split("\n", 1) for part in text.split("\n## ")[1:])
     for section, table in tables("", Scenario("any").as_dict()):
@@ -53,19 +51,19 @@ def test_it_has_every_key_of_a_scenario_with_its_default() -> None:
             assert row.split(" | ")[2] == shown
 
 
-def test_a_key_without_a_meaning_is_refused(schema: dict[str, Any]) -> None:
+def test_a_key_without_a_meaning_is_refused(schema):
     schema["$defs"]["BusSettings"]["properties"]["termination_ohm"] = {"type": "number"}
     with pytest.raises(ValueError, match=r"bus\.termination_ohm: has no meaning"):
         scenario_keys.page(schema)
 
 
-def test_two_meanings_are_refused(schema: dict[str, Any]) -> None:
+def test_two_meanings_are_refused(schema):
     schema["$defs"]["BusSettings"]["properties"]["bitrate"]["description"] = "Bits a second."
     with pytest.raises(ValueError, match=r"bus\.bitrate: has a meaning in the settings too"):
         scenario_keys.page(schema)
 
 
-def test_a_meaning_without_a_key_is_refused(schema: dict[str, Any]) -> None:
+def test_a_meaning_without_a_key_is_refused(schema):
     del schema["$defs"]["BusSettings"]["properties"]["bitrate"]
     with pytest.raises(ValueError, match=r"no key bus\.bitrate"):
         scenario_keys.page(schema)
@@ -89,11 +87,11 @@ def test_a_meaning_without_a_key_is_refused(schema: dict[str, Any]) -> None:
         ({"enum": ["a", "b"], "type": "string"}, '`"a"`, `"b"`'),
     ],
 )
-def test_bounds_are_shown(field: dict[str, Any], shown: str) -> None:
+def test_bounds_are_shown(field, shown):
     assert scenario_keys.allowed(field) == shown
 
 
-def test_the_longest_suffix_says_the_unit() -> None:
+def test_the_longest_suffix_says_the_unit():
     assert scenario_keys.unit("torque_rate_nm_per_s") == "N m/s"
     assert scenario_keys.unit("frequency_rad_per_s") == "rad/s"
     assert scenario_keys.unit("alpha") == ""

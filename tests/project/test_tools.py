@@ -1,7 +1,5 @@
 """Every tool ends well in its shortest form."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -40,14 +38,14 @@ NOT_TESTED = {
 }
 
 
-def test_each_tool_is_run_here_or_there_or_has_a_reason() -> None:
+def test_each_tool_is_run_here_or_there_or_has_a_reason():
     tools = {path.name for path in (ROOT / "tools").iterdir() if path.is_file() and not path.suffix}
     assert tools == {tool for tool, *_ in SHORTEST} | ELSEWHERE.keys() | NOT_TESTED.keys()
     assert all((ROOT / page).is_file() for page in ELSEWHERE.values())
 
 
 @pytest.mark.parametrize("words", sorted(SHORTEST))
-def test_a_tool_ends_well(words: tuple[str, ...]) -> None:
+def test_a_tool_ends_well(words):
     tool, *arguments = words
     command = [sys.executable, f"tools/{tool}.py", *arguments]
     done = subprocess.run(

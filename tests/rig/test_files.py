@@ -1,7 +1,5 @@
 """Outputs appear whole or not at all; a failure is a line."""
 
-from __future__ import annotations
-
 import errno
 import os
 import re
@@ -22,9 +20,7 @@ from can_rig.files import FileNames, atomic
 from tests.helpers import asked
 
 
-def test_a_read_only_file_system_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_read_only_file_system_is_one_line(tmp_path, monkeypatch):
     def refused(path: Path, *_: Any, **__: Any) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
 
@@ -39,7 +35,7 @@ def test_a_read_only_file_system_is_one_line(
         file.write("never")
 
 
-def test_an_error_while_writing_leaves_what_was_there(tmp_path: Path) -> None:
+def test_an_error_while_writing_leaves_what_was_there(tmp_path):
     out = tmp_path / "a.csv"
     out.write_text("before")
     with (
@@ -52,7 +48,7 @@ def test_an_error_while_writing_leaves_what_was_there(tmp_path: Path) -> None:
     assert out.read_text() == "before"
 
 
-def test_a_folder_is_never_replaced_by_a_file(tmp_path: Path) -> None:
+def test_a_folder_is_never_replaced_by_a_file(tmp_path):
     out = tmp_path / "a.csv"
     out.mkdir()
     (out / "mine").write_text("kept")
@@ -66,9 +62,7 @@ def test_a_folder_is_never_replaced_by_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("force", [False, True])
-def test_links_in_the_way_are_never_followed(
-    force: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_links_in_the_way_are_never_followed(force, tmp_path, monkeypatch):
     """Neither those in place of the output, nor those under any name of a part of it."""
     victim, out = tmp_path / "victim", tmp_path / "b.log"
     victim.write_text("mine")
@@ -90,7 +84,7 @@ def test_links_in_the_way_are_never_followed(
     assert not (tmp_path / "nothing").exists()
 
 
-def test_a_part_lies_in_a_private_folder_whose_name_nobody_foresees(tmp_path: Path) -> None:
+def test_a_part_lies_in_a_private_folder_whose_name_nobody_foresees(tmp_path):
     """So two commands write the same output at once, and either is whole."""
     out = tmp_path / "a.csv"
     with atomic(out, force=True) as one, atomic(out, force=True) as other:
@@ -102,7 +96,7 @@ def test_a_part_lies_in_a_private_folder_whose_name_nobody_foresees(tmp_path: Pa
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.csv": "one"}
 
 
-def test_a_file_that_appears_meanwhile_stays(tmp_path: Path) -> None:
+def test_a_file_that_appears_meanwhile_stays(tmp_path):
     out = tmp_path / "a.csv"
     with pytest.raises(LogError, match="exists"), atomic(out, force=False) as part:
         part.write_text("late")
@@ -110,7 +104,7 @@ def test_a_file_that_appears_meanwhile_stays(tmp_path: Path) -> None:
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.csv": "mine"}
 
 
-def test_a_file_system_without_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_system_without_hard_links(tmp_path, monkeypatch):
     def refused(*_: Any) -> None:
         raise OSError(errno.EPERM, os.strerror(errno.EPERM))
 
@@ -124,7 +118,7 @@ def test_a_file_system_without_hard_links(tmp_path: Path, monkeypatch: pytest.Mo
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.csv": "first"}
 
 
-def test_a_pipe_or_a_device_is_no_file_to_replace(tmp_path: Path) -> None:
+def test_a_pipe_or_a_device_is_no_file_to_replace(tmp_path):
     (tmp_path / "a.log").write_text("(0.000000) can0 100#00\n")
     os.mkfifo(tmp_path / "b.log")
     before = (tmp_path / "b.log").stat().st_ino
@@ -134,7 +128,7 @@ def test_a_pipe_or_a_device_is_no_file_to_replace(tmp_path: Path) -> None:
     assert (tmp_path / "b.log").stat().st_ino == before
 
 
-def test_what_a_killed_process_leaves_is_gone_with_the_next_output(tmp_path: Path) -> None:
+def test_what_a_killed_process_leaves_is_gone_with_the_next_output(tmp_path):
     """Parts of a live process stay, and so do foreign files of such a name."""
     program = (
         "from pathlib import Path; from can_rig.files import atomic\n"
@@ -168,7 +162,7 @@ def test_what_a_killed_process_leaves_is_gone_with_the_next_output(tmp_path: Pat
 @example(["../../pwned", "..", ".", "", "/etc/passwd", "a\0b", "CON", "con.csv", "nul", "\ud800"])
 @example(["Speed", "SPEED", "speed~6129de1e", "x" * 300, "x" * 301, "x" * 299 + "\u00e4" * 9])
 @example(["ﬁ", "fi", "FI", "ä", "a\u0308", "trail.", "trail ", ".hidden", "a%2Fb", "a/b"])
-def test_every_name_becomes_a_file_name_of_its_own(names: list[str]) -> None:
+def test_every_name_becomes_a_file_name_of_its_own(names):
     files = FileNames()
     found = [files.of(name, ".csv") for name in names]
     alike = {unicodedata.normalize("NFKC", file.casefold()).casefold() for file in found}
@@ -180,7 +174,7 @@ def test_every_name_becomes_a_file_name_of_its_own(names: list[str]) -> None:
         assert not re.fullmatch(r"(con|nul|prn|aux|com\d|lpt\d)(\..*)?", file, re.IGNORECASE)
 
 
-def test_usual_names_stay_as_they_are() -> None:
+def test_usual_names_stay_as_they_are():
     files = FileNames()
     for name in ("EngineData_1", "VEHICLE-SPEED", "Motor Status (2)", "Lenkwinkelübertragung"):
         assert files.of(name) == name

@@ -1,7 +1,5 @@
 """Folders of results: replacement, survivors, and simultaneous writers."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -30,7 +28,7 @@ LOOKS_LIKE = Kind("a test", "marker", lambda _: ["marker", "one", "two"], lambda
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def results(tmp_path_factory):
     """A folder of each kind."""
     folder = tmp_path_factory.mktemp("results")
     for name, words in COMMANDS.items():
@@ -66,11 +64,9 @@ def notes_of(folder: Path) -> tuple[dict[str, bytes], list[int]]:
 
 
 @pytest.mark.parametrize("kind", COMMANDS)
-def test_force_keeps_foreign_files_and_replaces_no_other_kind(
-    kind: str, results: Path, tmp_path: Path
-) -> None:
+def test_force_keeps_foreign_files_and_replaces_no_other_kind(kind, results, tmp_path):
     words = of_log(COMMANDS[kind], results)
-    same = {"run", "what-if"} if kind in {"run", "what-if"} else {kind}
+    same = {"run": "what-if", "what-if": "run"}.get(kind, kind)
     for other in COMMANDS:
         folder = tmp_path / other
         shutil.copytree(results / other, folder)
@@ -80,7 +76,7 @@ def test_force_keeps_foreign_files_and_replaces_no_other_kind(
         assert refused.returncode == 2
         assert "there already" in refused.stderr
         assert contents(folder) == before
-        if other in same:
+        if other == same:
             done = asked(*words, "--out", folder, "--force")
             assert done.returncode in {0, 1}, done.stderr
             own = {path.name for path in (results / kind).iterdir()}
@@ -101,9 +97,7 @@ def no_cluster(*_: object) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("there", [True, False])
-def test_a_campaign_that_does_not_begin_takes_nothing_away(
-    there: bool, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_campaign_that_does_not_begin_takes_nothing_away(there, results, tmp_path, monkeypatch):
     monkeypatch.setattr("can_rig.cli.campaign.computing", no_cluster)
     out = tmp_path / "out"
     if there:
@@ -121,8 +115,8 @@ def full(*_: object) -> None:
 
 
 def test_an_interrupted_campaign_replaces_the_old_one_once_it_is_whole(
-    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    results, tmp_path, monkeypatch
+):
     out = tmp_path / "out"
     shutil.copytree(results / "campaign", out)
     notes, before = with_notes(out), contents(out)
@@ -140,9 +134,7 @@ def test_an_interrupted_campaign_replaces_the_old_one_once_it_is_whole(
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_a_command_that_is_killed_while_it_replaces_is_finished_by_the_next(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_command_that_is_killed_while_it_replaces_is_finished_by_the_next(tmp_path, monkeypatch):
     class KilledError(BaseException):
         """As if the process was gone."""
 
@@ -168,9 +160,7 @@ def test_a_command_that_is_killed_while_it_replaces_is_finished_by_the_next(
 
 
 @pytest.mark.parametrize("in_the_way", ["folder", "foreign file"])
-def test_what_is_in_the_way_of_a_file_stays_and_so_does_everything(
-    in_the_way: str, tmp_path: Path
-) -> None:
+def test_what_is_in_the_way_of_a_file_stays_and_so_does_everything(in_the_way, tmp_path):
     path = tmp_path / "a"
     path.mkdir()
     (path / "marker").write_text("old")
@@ -189,7 +179,7 @@ def test_what_is_in_the_way_of_a_file_stays_and_so_does_everything(
     assert [each.name for each in tmp_path.iterdir()] == ["a"]
 
 
-def test_two_commands_do_not_write_one_folder(results: Path, tmp_path: Path) -> None:
+def test_two_commands_do_not_write_one_folder(results, tmp_path):
     shutil.copytree(results / "run", tmp_path / "old")
     for target in (tmp_path / "new", tmp_path / "old"):
         before = contents(target)
@@ -200,7 +190,7 @@ def test_two_commands_do_not_write_one_folder(results: Path, tmp_path: Path) -> 
         assert contents(target) == before
 
 
-def test_a_folder_that_a_killed_run_had_not_filled_yet_is_taken(tmp_path: Path) -> None:
+def test_a_folder_that_a_killed_run_had_not_filled_yet_is_taken(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     assert asked(*RUN, "--out", out).returncode == 0
@@ -213,9 +203,7 @@ def test_a_folder_that_a_killed_run_had_not_filled_yet_is_taken(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("command", ["run", "export", "decode"])
-def test_a_link_to_a_folder_means_the_folder(
-    command: str, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_link_to_a_folder_means_the_folder(command, results, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shutil.copytree(results / command, tmp_path / "real")
     (tmp_path / "link").symlink_to("real")
@@ -235,9 +223,7 @@ def test_a_link_to_a_folder_means_the_folder(
     }
 
 
-def test_runs_of_the_same_second_have_folders_of_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_of_the_same_second_have_folders_of_their_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("time.strftime", lambda _: "20260101-000000")
     for _ in range(2):

@@ -9,8 +9,6 @@ inside.
 Refused candidates are counted by reason; the counts give the most helpful change.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections import Counter

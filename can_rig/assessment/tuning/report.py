@@ -3,8 +3,6 @@
 ``tuning.png`` shows the noise in X_diff against the peak after the loss.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from pathlib import Path

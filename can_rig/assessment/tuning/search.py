@@ -13,8 +13,6 @@ The grid of candidates follows the tick. For each of them:
 Step 3 proceeds from the smallest peak upwards, so that few tunings beyond the trade-off are tested.
 """
 
-from __future__ import annotations
-
 import math
 import multiprocessing
 import os

@@ -15,8 +15,6 @@ classic frames of 8 bytes. Only nodes that have joined for bursts get bursts; ev
 each frame of a burst as a datagram, so its descriptor is readable while frames wait.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

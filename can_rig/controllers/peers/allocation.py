@@ -5,8 +5,6 @@ The demand v of D* is met by u = W Bᵀ (B W Bᵀ)⁻¹ v, B = [(1 - s) G1(0), G
 steering; the lost share s, from ``LossObserver``, moves the demand to the rear wheels.
 """
 
-from __future__ import annotations
-
 import math
 
 from can_rig.controllers.peers.loss_observer import LossObserver

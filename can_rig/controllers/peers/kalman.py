@@ -4,8 +4,6 @@ u1 = U (r - y + G1 u1) and u2 = F̂ s G1 u1: C and F̂ are the thesis's, (3.32) 
 share s comes from ``LossObserver``.
 """
 
-from __future__ import annotations
-
 from can_rig.controllers.peers.loss_observer import LossObserver
 from can_rig.controllers.protocol import Answer, Inputs
 from can_rig.controllers.setup import ControllerSetup

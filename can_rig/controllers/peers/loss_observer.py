@@ -6,8 +6,6 @@ s drifts as a random walk, so the filter has one state and a gain that grows wit
 of a Kalman filter).
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import Final

@@ -4,8 +4,6 @@ Lambda tuning of the plant's first-order approximation K/(1 + T s): kp = T/(K λ
 (Rivera, Morari and Skogestad, Ind. Eng. Chem. Process Des. Dev. 25, 1986).
 """
 
-from __future__ import annotations
-
 from can_rig.controllers.protocol import Inputs
 from can_rig.controllers.setup import ControllerSetup
 

@@ -6,8 +6,6 @@ demand v goes to the actuators by their effectiveness (Alwi and Edwards, Automat
 the output alone.
 """
 
-from __future__ import annotations
-
 from can_rig.controllers.peers.allocation import Allocation
 from can_rig.controllers.setup import ControllerSetup
 

@@ -4,8 +4,6 @@ u1 = C (r - y), d̂ = F1 u + F2 y, u2 = F̂ d̂ (2.1), (2.37), (3.32), each filt
 limits, no decision, no shaper, no substitution: ``[design]`` has the time constants.
 """
 
-from __future__ import annotations
-
 from can_rig.controllers.filters_law import FiltersLaw
 from can_rig.controllers.setup import ControllerSetup
 from can_rig.scenario.build import continuous_design

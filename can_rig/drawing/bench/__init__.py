@@ -3,8 +3,6 @@
 uPlot draws the curves. A page is told its curves and charts by ``Curve`` and ``Chart``.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import zlib

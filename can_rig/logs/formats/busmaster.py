@@ -11,8 +11,6 @@ Dates are in the time zone of this machine. More than 8 bytes mean CAN FD, which
 Source: BUSMASTER, `FormatMsgCAN.cpp`, `FormatMsgCommon.cpp`, `LogObjectCAN.cpp`.
 """
 
-from __future__ import annotations
-
 import re
 from datetime import datetime
 from typing import Final

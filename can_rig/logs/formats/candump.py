@@ -10,8 +10,6 @@
 Source: can-utils, `lib.h` (parse_canframe, sprint_canframe) and `candump.c`.
 """
 
-from __future__ import annotations
-
 import gzip
 import re
 from collections.abc import Iterable, Iterator

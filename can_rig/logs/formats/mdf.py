@@ -7,8 +7,6 @@ python-can's writer dates every file at the moment of writing and rounds time to
 here starts when the log does, and its time stamps are exact to the nanosecond.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Generator, Iterable, Iterator, Sequence

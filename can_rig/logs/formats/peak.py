@@ -28,8 +28,6 @@ Traces of version 2.1 are written, without error frames.
 Source: PEAK-System, "PEAK CAN TRC File Format"; SavvyCAN, `framefileio.cpp`.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime, timedelta

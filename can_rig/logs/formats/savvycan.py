@@ -11,8 +11,6 @@ come from the recorder's clock, without a date; classic data frames alone are wr
 Source: SavvyCAN, `framefileio.cpp` (loadNativeCSVFile, saveNativeCSVFile).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path

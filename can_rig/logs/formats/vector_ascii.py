@@ -14,8 +14,6 @@ machine. The file marks its own end, so truncation is noticed.
 Source: Vector, "CAN ASCII Logging Files Format Specification".
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from datetime import datetime

@@ -7,8 +7,6 @@ code in one pass over the bytes; other types are skipped. Source: Vector, "binlo
 the recording, not since 1970: float64 keeps them exact.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Generator, Iterable, Iterator

@@ -14,8 +14,6 @@ restart past tick 65536 the node counts ticks modulo 65536, so its ``frames-…`
 wrong time, and the run ends when the plant node falls silent.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, NamedTuple
 

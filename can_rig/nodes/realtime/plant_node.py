@@ -17,8 +17,6 @@ counts the missed ticks: the car drives without commands, and no frames are sent
 always wall-clock time.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any, Final

@@ -9,8 +9,6 @@ slack of 1 ns. Spinning for the last 60 µs would bring the median lateness from
 spinning leaves unchanged; and on a shared core a spinning node takes time from the other node.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, Final

@@ -5,8 +5,6 @@ part; sending and timing decide. ``delivery`` asks the receivers themselves, bec
 counters also reject frames right after an outage.
 """
 
-from __future__ import annotations
-
 import math
 import random
 from collections import deque

@@ -1,7 +1,5 @@
 """Injecting and clearing faults and disturbances during a run."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Final
 

@@ -3,8 +3,6 @@
 Overlapping faults act in the scenario's order. ``frame_faults`` has the faults of frames.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Final, NamedTuple

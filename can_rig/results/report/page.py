@@ -1,7 +1,5 @@
 """``report.png``: output, error, both commands and the fault estimate of one run, on one page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Final
 

@@ -3,8 +3,6 @@
 The page opens without network: uPlot, the numbers and the look are part of the file.
 """
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Iterable, Iterator, Mapping

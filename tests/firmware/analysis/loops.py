@@ -1,7 +1,5 @@
 """Loops for the tests of this room."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from firmware_model.analysis.margins import HEALTHY

@@ -1,7 +1,5 @@
 """A plant behind dead times and lags, tick by tick and as a loop, against what is continuous."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -64,9 +62,7 @@ def continuously(plant: Plant, commands: FloatArray, left: FloatArray) -> FloatA
 
 @settings(max_examples=8, deadline=None)
 @given(delays, delays, delays, st.integers(0, 2**31))
-def test_any_dead_time_is_exact(
-    first_s: float, second_s: float, sensor_s: float, seed: int
-) -> None:
+def test_any_dead_time_is_exact(first_s, second_s, sensor_s, seed):
     plant = behind(
         CAR,
         Stage(0.004, dead_time_s=first_s),
@@ -83,7 +79,7 @@ def test_any_dead_time_is_exact(
     assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
 
 
-def test_whole_ticks_of_dead_time_only_shift() -> None:
+def test_whole_ticks_of_dead_time_only_shift():
     ideal = sample(CAR, TICK_S)
     late = sample(
         behind(CAR, Stage(dead_time_s=0.003), Stage(dead_time_s=0.003), Stage(dead_time_s=0.002)),
@@ -103,7 +99,7 @@ def test_whole_ticks_of_dead_time_only_shift() -> None:
 
 @pytest.mark.parametrize("tick_s", [1e-4, 1e-3, 0.01, 0.02])
 @pytest.mark.parametrize("lag_s", [2e-4, 5e-3, 0.05])
-def test_zoh_of_a_channel_with_lags_is_scipy_s(tick_s: float, lag_s: float) -> None:
+def test_zoh_of_a_channel_with_lags_is_scipy_s(tick_s, lag_s):
     """Fast poles beside slow ones, and three zeros more from sampling."""
     plant = behind(CAR, Stage(lag_s), Stage(lag_s), Stage(0.0088))
     points = np.exp(1j * np.linspace(0.01, np.pi, 50))
@@ -125,7 +121,7 @@ SLOW = DesignSpecification(tau_s=0.02, alpha=3, tau_q_s=0.03, alpha_q=4)
 
 
 @pytest.mark.compiled
-def test_f1_waits_for_the_dead_times_of_each_channel() -> None:
+def test_f1_waits_for_the_dead_times_of_each_channel():
     """Whole ticks, sensor included; a loop without a fault then has no d̂."""
     table = build(design(KNOWN, SLOW), Target(TICK_S, latency_ticks=2, estimator="zoh"))
     assert (table.estimator.dead_ticks_1, table.estimator.dead_ticks_2) == (3, 2)
@@ -143,7 +139,7 @@ def test_f1_waits_for_the_dead_times_of_each_channel() -> None:
     assert np.abs(unknown.fault_estimate).max() > 1e-3
 
 
-def test_a_dead_time_longer_than_the_rings_is_refused() -> None:
+def test_a_dead_time_longer_than_the_rings_is_refused():
     late = behind(CAR, Stage(dead_time_s=0.0651), IDEAL, IDEAL)
     with pytest.raises(ParameterError, match="dead time of channel 1: 65 ticks; must be at most"):
         build(design(late, SLOW), Target(TICK_S))
@@ -152,7 +148,7 @@ def test_a_dead_time_longer_than_the_rings_is_refused() -> None:
 @pytest.mark.compiled
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
 @pytest.mark.parametrize("plant", [CAR, KNOWN], ids=["unknown", "known"])
-def test_the_loop_s_matrix_is_the_simulation(plant: Plant, left: tuple[float, float]) -> None:
+def test_the_loop_s_matrix_is_the_simulation(plant, left):
     """Dead times are in the design, or only in the plant."""
     chosen = DesignSpecification(tau_s=0.02, alpha=3, tau_q_s=0.03, alpha_q=4)
     table = build(design(plant, chosen), Target(TICK_S, latency_ticks=1, estimator="zoh"))
@@ -172,7 +168,7 @@ def test_the_loop_s_matrix_is_the_simulation(plant: Plant, left: tuple[float, fl
     assert (loop.spectral_radius() > 1.0) == grows
 
 
-def test_a_reset_fills_what_is_in_the_dead_times() -> None:
+def test_a_reset_fills_what_is_in_the_dead_times():
     """From the settled loop on, nothing moves and nothing looks like a loss."""
     late = behind(CAR, Stage(0.01, dead_time_s=0.003), Stage(dead_time_s=0.005), IDEAL)
     firmware = Firmware(build(design(late, SLOW), Target(TICK_S, latency_ticks=2, estimator="zoh")))

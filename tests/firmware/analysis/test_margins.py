@@ -1,10 +1,7 @@
 """Figures of merit: against simulation at and beyond the edge, and against closed formulas."""
 
-from __future__ import annotations
-
 import cmath
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -39,12 +36,12 @@ BARE = design(CAR, DesignSpecification(compensation=False))
 OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
 
 
-def test_what_cannot_be_built_is_not_stable() -> None:
+def test_what_cannot_be_built_is_not_stable():
     steep = design(CAR, DesignSpecification(q=ZeroPoleGain((-10.0,), (-100.0,), 10.0)))
     assert not is_stable_in(steep, Target(1e-3), CAR, [HEALTHY])
 
 
-def test_a_loop_that_needs_its_gain_has_a_lower_margin_too() -> None:
+def test_a_loop_that_needs_its_gain_has_a_lower_margin_too():
     """x⁺ = 1.2 x - 0.5 g y is stable for 0.4 < g < 4.4."""
     loop = scalar_loop(1.2, -0.5)
     assert gain_margins(loop) == pytest.approx((0.4, 4.4), rel=1e-12)
@@ -52,9 +49,7 @@ def test_a_loop_that_needs_its_gain_has_a_lower_margin_too() -> None:
 
 @pytest.mark.parametrize("late", [0.0, 2.0, 2.5])
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
-def test_gain_margins_are_where_the_dense_eigenvalues_cross(
-    late: float, left: tuple[float, float]
-) -> None:
+def test_gain_margins_are_where_the_dense_eigenvalues_cross(late, left):
     """By bisection of the largest eigenvalue of the whole matrix, of which nothing is lumped."""
     loop = loop_of(SLOW, Target(1e-3, 4, "zoh"), left, late)
     reduction, gain = gain_margins(loop)
@@ -69,7 +64,7 @@ def test_gain_margins_are_where_the_dense_eigenvalues_cross(
 
 
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD, (0.5, 1.0)])
-def test_equal_states_as_one_leave_the_loop_as_it_is(left: tuple[float, float]) -> None:
+def test_equal_states_as_one_leave_the_loop_as_it_is(left):
     """The same poles but for those at 0, and the same L; each waiting command is one state."""
     loop = loop_of(SLOW, Target(1e-3, 12, "zoh"), left)
     few = loop.lumped
@@ -87,9 +82,7 @@ def test_equal_states_as_one_leave_the_loop_as_it_is(left: tuple[float, float]) 
 
 @pytest.mark.compiled
 @pytest.mark.parametrize(("designed", "latency"), [(PUBLISHED, 0), (SLOW, 2)])
-def test_peak_sensitivity_is_what_a_sine_of_noise_becomes(
-    designed: ContinuousDesign, latency: int
-) -> None:
+def test_peak_sensitivity_is_what_a_sine_of_noise_becomes(designed, latency):
     """A measured sine at that frequency settles at |S| times its size, by simulation."""
     tick_s, ticks = 1e-3, 3000
     target = Target(tick_s, latency, "zoh")
@@ -104,7 +97,7 @@ def test_peak_sensitivity_is_what_a_sine_of_noise_becomes(
 
 
 @pytest.mark.compiled
-def test_noise_gain_is_the_impulse_response_summed() -> None:
+def test_noise_gain_is_the_impulse_response_summed():
     """Parseval: rms² = Σ h_k², h the answer to one tick of measurement noise."""
     target = Target(1e-3, 1, "zoh")
     table, impulse = build(SLOW, target), np.zeros(3000)
@@ -116,7 +109,7 @@ def test_noise_gain_is_the_impulse_response_summed() -> None:
         assert noise_gain(loop, answer) == pytest.approx(math.sqrt(response @ response), rel=1e-6)
 
 
-def test_noise_reaches_an_open_integrator_and_only_that_is_infinite() -> None:
+def test_noise_reaches_an_open_integrator_and_only_that_is_infinite():
     loop = loop_of(BARE, Target(1e-3), TORQUE_DEAD)
     assert noise_gain(loop, 0) == math.inf
     assert noise_gain(loop, 1) == 0.0
@@ -133,7 +126,7 @@ def test_noise_reaches_an_open_integrator_and_only_that_is_infinite() -> None:
     assert noise_gain(lost_2, 1) == math.inf
 
 
-def test_slowest_pole_is_the_decay_of_the_simulation() -> None:
+def test_slowest_pole_is_the_decay_of_the_simulation():
     """|s| and damping by two lines: the logarithmic decrement and the zero crossings' period."""
     tick_s = 1e-3
     figures = margins(build(PUBLISHED, Target(tick_s, 1, "zoh")), CAR, tick_s)
@@ -145,7 +138,7 @@ def test_slowest_pole_is_the_decay_of_the_simulation() -> None:
     assert figures.slowest_damping == pytest.approx(-zero.real / abs(zero), rel=1e-3)
 
 
-def test_an_unstable_loop_has_no_margins() -> None:
+def test_an_unstable_loop_has_no_margins():
     fast = design(CAR, DesignSpecification(tau_s=1e-4, tau_q_s=0.02))
     figures = margins(build(fast, Target(1e-3, 1, "zoh")), CAR, 1e-3, (1.0, 0.0))
     assert not figures.stable
@@ -157,7 +150,7 @@ def test_an_unstable_loop_has_no_margins() -> None:
     assert figures.noise_to_command_1 == math.inf
 
 
-def test_a_loop_that_is_open_survives_any_delay_and_gain() -> None:
+def test_a_loop_that_is_open_survives_any_delay_and_gain():
     """Without compensation nothing acts on the car after the loss: stable, following nothing."""
     figures = margins(build(BARE, Target(1e-3)), CAR, 1e-3, TORQUE_DEAD)
     assert figures.stable
@@ -169,7 +162,7 @@ def test_a_loop_that_is_open_survives_any_delay_and_gain() -> None:
     assert figures.peak_sensitivity == 1.0
 
 
-def test_chapter_2_is_a_loop_of_the_compensator_alone() -> None:
+def test_chapter_2_is_a_loop_of_the_compensator_alone():
     figures = margins(build(OPEN_LOOP, Target(1e-3)), OPEN_LOOP.plant, 1e-3, TORQUE_DEAD)
     assert figures.stable
     assert figures.spectral_radius == pytest.approx(math.exp(-1e-3), rel=1e-9)  # the pole -1
@@ -179,9 +172,7 @@ def test_chapter_2_is_a_loop_of_the_compensator_alone() -> None:
 @pytest.mark.parametrize("latency", [0, 1, 2])
 @pytest.mark.parametrize("tau_q_s", [0.0005, 0.001, 0.002, 0.005])
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD, (0.5, 1.0)])
-def test_compensation_on_confirmation_is_predicted_as_it_simulates(
-    latency: int, tau_q_s: float, left: tuple[float, float]
-) -> None:
+def test_compensation_on_confirmation_is_predicted_as_it_simulates(latency, tau_q_s, left):
     """After the decision the loop is another one; its growth is that of its spectral radius."""
     designed = design(CAR, DesignSpecification(tau_s=0.0005, tau_q_s=tau_q_s))
     target = Target(1e-3, latency, "zoh", on_confirmation=True)
@@ -196,7 +187,7 @@ def test_compensation_on_confirmation_is_predicted_as_it_simulates(
         assert math.log(later / tail) / 100 == pytest.approx(math.log(radius), rel=0.1)
 
 
-def test_only_a_confirmed_loss_lets_compensation_on_confirmation_act() -> None:
+def test_only_a_confirmed_loss_lets_compensation_on_confirmation_act():
     """u2 is row 1: no input reaches it before, the model of the lost channel does after."""
     table = build(PUBLISHED, Target(1e-3, 1, "zoh", on_confirmation=True))
     whole, lost = law_in(table, HEALTHY), law_in(table, TORQUE_DEAD)
@@ -209,7 +200,7 @@ def test_only_a_confirmed_loss_lets_compensation_on_confirmation_act() -> None:
     assert len(lost.a) == len(linear_controller(build(PUBLISHED, Target(1e-3, 1, "zoh"))).a) + 4
 
 
-def test_lumps_answer_as_all_their_states_do_even_where_states_copy_in_a_circle() -> None:
+def test_lumps_answer_as_all_their_states_do_even_where_states_copy_in_a_circle():
     """States 0 and 1 copy each other, 2 and 3 both copy state 1, and 4 has dynamics and input."""
     a = np.zeros((5, 5))
     a[[0, 1, 2, 3], [1, 0, 1, 1]] = 1.0
@@ -234,17 +225,17 @@ def test_lumps_answer_as_all_their_states_do_even_where_states_copy_in_a_circle(
     ],
     ids=["cubic", "steep at one end", "almost a jump", "a jump"],
 )
-def test_it_finds_what_scipy_finds(function: Callable[[float], float]) -> None:
+def test_it_finds_what_scipy_finds(function):
     found = zero(function, 0.0, 1.0)
     assert found == pytest.approx(brentq(function, 0.0, 1.0, xtol=1e-15), rel=1e-14)
 
 
-def test_it_ends_where_the_loop_gain_is_not_a_number() -> None:
+def test_it_ends_where_the_loop_gain_is_not_a_number():
     assert math.isnan(zero(lambda x: math.nan, 0.0, 1.0))
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 3])
-def test_high_frequency_limit_of_an_estimator_that_ignores_the_delay(n: int) -> None:
+def test_high_frequency_limit_of_an_estimator_that_ignores_the_delay(n):
     """Z^(n+1) - z^n + T/τ = 0, stable for T/τ < 2 sin(π/(2(2n+1))).
 
     T far below the plant's times, no tracking loop, a Tustin F1 and a bus n ticks late.
@@ -282,7 +273,7 @@ def turns_after_the_loss(designed: ContinuousDesign, tick_s: float, n: int) -> i
 
 
 @pytest.mark.compiled
-def test_published_tuning_survives_as_much_latency_as_its_characteristic_equation_says() -> None:
+def test_published_tuning_survives_as_much_latency_as_its_characteristic_equation_says():
     """The longer the tick, the fewer of them; a healthy car takes any, F1 has the bus in it."""
     survived = []
     for tick_s in (1e-3, 5e-4):
@@ -295,13 +286,13 @@ def test_published_tuning_survives_as_much_latency_as_its_characteristic_equatio
     assert 1 < survived[0] < survived[1]
 
 
-def test_the_scan_of_latencies_ends_at_its_most_or_before_its_first() -> None:
+def test_the_scan_of_latencies_ends_at_its_most_or_before_its_first():
     assert largest_latency_survived(SLOW, Target(1e-3), CAR, most=1) == 1
     assert largest_latency_survived(PUBLISHED, Target(1e-2), CAR) is None
 
 
 @pytest.mark.compiled
-def test_largest_latency_is_where_the_scan_ends() -> None:
+def test_largest_latency_is_where_the_scan_ends():
     assert largest_latency_survived(SLOW, Target(1e-3), CAR, most=3) == 3
     most = largest_latency_survived(PUBLISHED, Target(1e-3, 5, "zoh"), CAR)
     assert most is not None
@@ -320,9 +311,7 @@ def grows(trace: Any) -> bool:
 @pytest.mark.compiled
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
 @pytest.mark.parametrize("rule", ["tustin", "zoh"])
-def test_stable_at_the_delay_margin_and_unstable_beyond_in_simulation(
-    rule: Any, left: tuple[float, float]
-) -> None:
+def test_stable_at_the_delay_margin_and_unstable_beyond_in_simulation(rule, left):
     """The bus is k ticks later than the controller knows: y at the car k ticks late, by noise."""
     tick_s, ticks = 1e-3, 1500
     table = build(SLOW, Target(tick_s, 1, rule))
@@ -352,7 +341,7 @@ def simulate_late(
     return type("Trace", (), {"measurement": np.array(y)})
 
 
-def test_the_edge_in_seconds_has_its_poles_on_the_circle() -> None:
+def test_the_edge_in_seconds_has_its_poles_on_the_circle():
     tick_s = 1e-3
     for designed, target in ((PUBLISHED, Target(tick_s)), (SLOW, Target(tick_s, 1, "zoh"))):
         figures = margins(build(designed, target), CAR, tick_s)
@@ -365,7 +354,7 @@ def test_the_edge_in_seconds_has_its_poles_on_the_circle() -> None:
         )
 
 
-def test_delay_margin_of_a_fast_bus_is_that_of_its_crossovers() -> None:
+def test_delay_margin_of_a_fast_bus_is_that_of_its_crossovers():
     """Above 32 ticks no eigenvalue is asked; they would have said the same."""
     target = Target(2e-4, 1, "zoh")
     figures = margins(build(SLOW, target), CAR, 2e-4)
@@ -376,7 +365,7 @@ def test_delay_margin_of_a_fast_bus_is_that_of_its_crossovers() -> None:
         assert (radius < 1.0) == stable
 
 
-def test_a_loop_that_amplifies_at_nyquist_survives_no_whole_tick() -> None:
+def test_a_loop_that_amplifies_at_nyquist_survives_no_whole_tick():
     """x⁺ = -1.5 x + 1.2 y: L(-1) = -2.4, and a tick later z² + 1.5 z - 1.2 = 0 has -2.08."""
     loop = scalar_loop(-1.5, 1.2)
     assert loop.loop_gain(np.array([-1.0 + 0j]))[0] == pytest.approx(-2.4)

@@ -1,7 +1,5 @@
 """A plant by numbers that the world pushes, against scipy alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import signal
@@ -44,7 +42,7 @@ CASES = {
 
 
 @pytest.mark.parametrize(("plant", "system"), CASES.values(), ids=CASES)
-def test_a_push_is_that_of_its_column_or_function(plant: Plant, system: signal.lti) -> None:
+def test_a_push_is_that_of_its_column_or_function(plant, system):
     """The commands act as without the push."""
     world = np.zeros((TICKS + 1, WORLD_ROW))
     world[:, 4:] = 1.0
@@ -71,6 +69,6 @@ def test_a_push_is_that_of_its_column_or_function(plant: Plant, system: signal.l
     assert np.abs(np.array(without) - answer[:, 0]).max() <= 1e-9 * np.abs(answer).max()
 
 
-def test_a_push_with_unstable_modes_of_its_own_is_refused() -> None:
+def test_a_push_with_unstable_modes_of_its_own_is_refused():
     with pytest.raises(ParameterError, match=r"unstable poles of Gw: 0.5 rad/s: must be none, or "):
         by_functions(TWICE, THRICE, ZeroPoleGain((), (0.5,), 1.0))

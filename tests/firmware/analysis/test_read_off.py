@@ -1,7 +1,5 @@
 """The matrices of a controller, read off its answers to impulses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -22,7 +20,7 @@ def linear(inputs: FloatArray) -> FloatArray:
     return answers
 
 
-def test_a_linear_controller_is_found_up_to_the_choice_of_its_states() -> None:
+def test_a_linear_controller_is_found_up_to_the_choice_of_its_states():
     found = read_off(linear, 3)
     assert found.latency_ticks == 3
     np.testing.assert_allclose(np.sort(np.linalg.eigvals(found.a)), [0.5, 0.9], rtol=1e-6)
@@ -32,19 +30,19 @@ def test_a_linear_controller_is_found_up_to_the_choice_of_its_states() -> None:
         np.testing.assert_allclose(ours, expected, rtol=1e-6, atol=1e-9)
 
 
-def test_a_controller_that_never_answers_has_no_state() -> None:
+def test_a_controller_that_never_answers_has_no_state():
     found = read_off(lambda inputs: np.zeros((len(inputs), 3)), 0)
     assert found.a.shape == (0, 0)
     assert not found.d.any()
 
 
-def test_a_limit_is_no_linear_controller() -> None:
+def test_a_limit_is_no_linear_controller():
     with pytest.raises(NotLinearError, match="not linear: off by"):
         read_off(lambda inputs: np.clip(linear(inputs), -2e-6, 2e-6), 0)
 
 
 @pytest.mark.filterwarnings("error")
-def test_matrices_that_explode_are_off_by_more_than_all_of_the_answers() -> None:
+def test_matrices_that_explode_are_off_by_more_than_all_of_the_answers():
     """Powers of an unstable matrix overflow; their dozens of digits say nothing."""
 
     def echoes(inputs: FloatArray) -> FloatArray:

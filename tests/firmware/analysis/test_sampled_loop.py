@@ -1,7 +1,5 @@
 """The loop's matrix: against scipy's parts put together by hand, and against the loop itself."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -108,9 +106,7 @@ def by_hand(
     ("latency", "rule"), [(0, "tustin"), (0, "zoh"), (1, "tustin-held"), (3, "zoh")]
 )
 @pytest.mark.parametrize("designed", [PUBLISHED, SLOW, SHAPED, OPEN_LOOP])
-def test_poles_are_those_of_the_block_diagram(
-    designed: ContinuousDesign, latency: int, rule: Any, left: tuple[float, float], extra: int
-) -> None:
+def test_poles_are_those_of_the_block_diagram(designed, latency, rule, left, extra):
     target = Target(1e-3, latency, rule)
     loop = loop_of(build(designed, target), designed.plant, 1e-3, left, extra)
     expected = by_hand(designed, target, designed.plant, left, extra)
@@ -125,9 +121,7 @@ def test_poles_are_those_of_the_block_diagram(
 @pytest.mark.parametrize("left", [HEALTHY, (0.3, 0.8)])
 @pytest.mark.parametrize(("latency", "rule"), [(0, "tustin"), (1, "zoh"), (3, "tustin-held")])
 @pytest.mark.parametrize("designed", [SLOW, SHAPED, OPEN_LOOP])
-def test_many_ticks_of_the_matrix_are_the_simulation(
-    designed: ContinuousDesign, latency: int, rule: Any, left: tuple[float, float]
-) -> None:
+def test_many_ticks_of_the_matrix_are_the_simulation(designed, latency, rule, left):
     """Measurement noise, reference, commands, d̂ and y, all signals of the loop, all inputs."""
     ticks = 300
     reference, noise = np.random.default_rng(8).standard_normal((2, ticks))
@@ -153,7 +147,7 @@ def test_many_ticks_of_the_matrix_are_the_simulation(
         np.testing.assert_allclose(got, expected, atol=1e-9 * np.abs(expected).max())
 
 
-def test_limits_and_grid_and_precision_do_not_enter() -> None:
+def test_limits_and_grid_and_precision_do_not_enter():
     """The linear loop of a float32 table with limits is that of its coefficients."""
     rough = Target(
         1e-3,
@@ -176,7 +170,7 @@ def test_limits_and_grid_and_precision_do_not_enter() -> None:
     np.testing.assert_allclose(single.a, plain.a, rtol=1e-5, atol=1e-5 * np.abs(plain.a).max())
 
 
-def test_memories_that_nothing_excites_are_left_out() -> None:
+def test_memories_that_nothing_excites_are_left_out():
     """C: 4, F1: 4 and 4, F̂: 4 of the car (G2's 3 zeros, q), 1 + Q: none; no eigenvalue at 1."""
     law = linear_controller(build(SLOW, Target(1e-3, 2)))
     assert len(law.a) == 4 + 4 + 4 + SLOW.compensator.order + 2 * 2  # type: ignore[union-attr]
@@ -184,7 +178,7 @@ def test_memories_that_nothing_excites_are_left_out() -> None:
     assert np.abs(np.linalg.eigvals(loop.closed()) - 1.0).min() > 1e-4
 
 
-def test_integrator_that_the_dead_channel_leaves_open_is_no_pole_of_the_loop() -> None:
+def test_integrator_that_the_dead_channel_leaves_open_is_no_pole_of_the_loop():
     """C's own without compensation, d̂'s own when the force difference is lost; both harmless."""
     bare = design(CAR, DesignSpecification(compensation=False))
     for designed, left in ((bare, DEAD), (SLOW, (1.0, 0.0))):
@@ -195,7 +189,7 @@ def test_integrator_that_the_dead_channel_leaves_open_is_no_pole_of_the_loop() -
         assert loop.spectral_radius() < 0.9999
 
 
-def test_a_loop_that_only_the_controller_sees_still_counts() -> None:
+def test_a_loop_that_only_the_controller_sees_still_counts():
     """Force difference dead: the plant hears nothing of d̂ → u2 → d̂, whose poles must be stable."""
     fast = design(CAR, DesignSpecification(tau_s=1e-4, tau_q_s=0.02))
     loop = loop_of(build(fast, Target(1e-3, 1, "zoh")), CAR, 1e-3, (1.0, 0.0))
@@ -203,7 +197,7 @@ def test_a_loop_that_only_the_controller_sees_still_counts() -> None:
 
 
 @pytest.mark.parametrize("fraction", [0.25, 0.75])
-def test_a_part_of_a_tick_is_a_finer_tick(fraction: float) -> None:
+def test_a_part_of_a_tick_is_a_finer_tick(fraction):
     """Controller every 4 ticks of a plant that is stepped at T/4, commands 1 or 3 of those late."""
     tick_s, table = 4e-3, build(SLOW, Target(4e-3, 1, "zoh"))
     law, fine = linear_controller(table), sample(CAR, 1e-3)
@@ -222,12 +216,12 @@ def test_a_part_of_a_tick_is_a_finer_tick(fraction: float) -> None:
 
 
 @pytest.mark.parametrize("late", [-1.0, math.nan, math.inf])
-def test_a_delay_that_is_none_is_refused(late: float) -> None:
+def test_a_delay_that_is_none_is_refused(late):
     with pytest.raises(ParameterError, match="extra_delay_ticks"):
         sampled_loop(linear_controller(build(SLOW, Target(1e-3))), CAR, 1e-3, HEALTHY, late)
 
 
 @pytest.mark.parametrize("left", [(-0.1, 1.0), (1.0, 1.1), (math.nan, 1.0)])
-def test_an_actuator_that_is_none_is_refused(left: tuple[float, float]) -> None:
+def test_an_actuator_that_is_none_is_refused(left):
     with pytest.raises(ParameterError, match="effectiveness"):
         sampled_loop(linear_controller(build(SLOW, Target(1e-3))), CAR, 1e-3, left)

@@ -1,7 +1,5 @@
 """The plant between ticks, against scipy's integration of the same equations."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -14,7 +12,7 @@ from firmware_model.errors import ParameterError
 
 
 @pytest.mark.parametrize("plant", [steer_by_wire(), chapter_2()], ids=lambda p: p.name)
-def test_is_exact_for_held_commands(plant) -> None:  # type: ignore[no-untyped-def]
+def test_is_exact_for_held_commands(plant):  # type: ignore[no-untyped-def]
     tick_s = 5e-3
     sampled = sample(plant, tick_s)
     commands = np.random.default_rng(7).standard_normal((40, 2)) * [30.0, 2000.0]
@@ -33,7 +31,7 @@ def test_is_exact_for_held_commands(plant) -> None:  # type: ignore[no-untyped-d
         assert measure_plant(sampled.c, x) == pytest.approx((plant.c @ expected).item(), rel=1e-7)
 
 
-def test_equals_scipys_zoh() -> None:
+def test_equals_scipys_zoh():
     plant = steer_by_wire()
     phi, gamma, *_ = signal.cont2discrete((plant.a, plant.b, plant.c, np.zeros((1, 2))), 1e-3)
     sampled = sample(plant, 1e-3)
@@ -42,6 +40,6 @@ def test_equals_scipys_zoh() -> None:
 
 
 @pytest.mark.parametrize("tick_s", [0.0, -1.0, math.inf, math.nan])
-def test_a_tick_that_is_no_tick_is_refused(tick_s: float) -> None:
+def test_a_tick_that_is_no_tick_is_refused(tick_s):
     with pytest.raises(ParameterError, match="tick_s"):
         sample(steer_by_wire(), tick_s)

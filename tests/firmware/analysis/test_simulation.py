@@ -1,7 +1,5 @@
 """The loop without frames: a plant class as the linear plant, the sensor, lost commands."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -49,7 +47,7 @@ class Recorded:
         return y, y
 
 
-def test_a_plant_class_with_the_same_equations_gives_the_same_bits() -> None:
+def test_a_plant_class_with_the_same_equations_gives_the_same_bits():
     linear = simulate(TABLE, sample(CAR, TICK_S), REFERENCE)
     own = simulate(TABLE, Recorded(), REFERENCE, tick_s=TICK_S)
     for name in ("time_s", "measurement", "command_1", "command_2", "fault_estimate"):
@@ -69,7 +67,7 @@ class Sensing(Recorded):
         self.told.append(told)
 
 
-def test_a_plant_with_sensors_hears_the_commands_of_the_tick_before() -> None:
+def test_a_plant_with_sensors_hears_the_commands_of_the_tick_before():
     """Without faults what an actuator was told is what acted: one tick and the latency late."""
     plant = Sensing()
     simulate(TABLE, plant, REFERENCE, tick_s=TICK_S)
@@ -77,7 +75,7 @@ def test_a_plant_with_sensors_hears_the_commands_of_the_tick_before() -> None:
     assert np.abs(plant.told).max() > 0.0
 
 
-def test_what_is_measured_lies_on_the_grid_and_within_its_ends() -> None:
+def test_what_is_measured_lies_on_the_grid_and_within_its_ends():
     noise = np.random.default_rng(1).normal(0.0, 0.01, TICKS)
     frames = EXACT_FRAMES.copy()
     frames[SENSOR] = frame_of(0.005, -0.01, 0.01)
@@ -91,7 +89,7 @@ def test_what_is_measured_lies_on_the_grid_and_within_its_ends() -> None:
 
 
 @pytest.mark.parametrize("hold_ticks", [0, 3])
-def test_an_actuator_holds_its_last_command_and_then_applies_zero(hold_ticks: int) -> None:
+def test_an_actuator_holds_its_last_command_and_then_applies_zero(hold_ticks):
     arrives = np.ones((TICKS, 2), dtype=np.bool_)
     arrives[LOST_AT : LOST_AT + 8, 0] = False
     plant = Recorded()
@@ -108,7 +106,7 @@ def test_an_actuator_holds_its_last_command_and_then_applies_zero(hold_ticks: in
     np.testing.assert_array_equal(acted[:LATENCY], 0.0)
 
 
-def test_a_sensor_reads_in_whole_steps_of_its_resolution() -> None:
+def test_a_sensor_reads_in_whole_steps_of_its_resolution():
     """Rounded to the nearest: what the controller gets is at most half a step from the output."""
     step = 1e-4
     run = simulate(TABLE, sample(CAR, TICK_S), REFERENCE, resolution=step)
@@ -117,7 +115,7 @@ def test_a_sensor_reads_in_whole_steps_of_its_resolution() -> None:
     assert np.abs(run.measured - run.measurement).max() > 0.1 * step
 
 
-def test_in_pieces_it_is_the_same_run_with_what_its_plant_did() -> None:
+def test_in_pieces_it_is_the_same_run_with_what_its_plant_did():
     """States of each tick, whose output is D*; commands as a weak actuator could follow them."""
     plant, weak = sample(CAR, TICK_S), 2.0
     whole = simulate(TABLE, plant, REFERENCE)
@@ -135,7 +133,7 @@ def test_in_pieces_it_is_the_same_run_with_what_its_plant_did() -> None:
     assert np.abs(limited.trace.command_1).max() > weak
 
 
-def test_a_run_goes_on_from_another_that_was_the_same_so_far() -> None:
+def test_a_run_goes_on_from_another_that_was_the_same_so_far():
     arrives = np.ones((TICKS, 2), dtype=np.bool_)
     arrives[LOST_AT:, 0] = False
     noise = np.random.default_rng(2).normal(0.0, 0.01, TICKS)
@@ -158,7 +156,7 @@ def test_a_run_goes_on_from_another_that_was_the_same_so_far() -> None:
 
 
 @pytest.mark.parametrize("changing", [False, True], ids=["dead times", "changing speed"])
-def test_a_window_that_moves_on_sees_the_same_run(changing: bool) -> None:
+def test_a_window_that_moves_on_sees_the_same_run(changing):
     """The rings of a plant with dead times turn; a drive brings the speeds of the next ticks."""
     designs = scheduled(cars=1)
     late = sample(replace(CAR, dead_times_s=(0.0023, 0.004), sensor_dead_time_s=0.0015), TICK_S)
@@ -203,9 +201,7 @@ def test_a_window_that_moves_on_sees_the_same_run(changing: bool) -> None:
 
 
 @pytest.mark.parametrize("survives", [False, True])
-def test_a_restarted_controller_answers_as_a_fresh_one_while_the_plant_goes_on(
-    survives: bool,
-) -> None:
+def test_a_restarted_controller_answers_as_a_fresh_one_while_the_plant_goes_on(survives):
     at_rest = init(TABLE)
     at_rest["takeover"]["pending"] = UNKNOWN
     restart = (12, 15, survives)
@@ -230,7 +226,7 @@ def test_a_restarted_controller_answers_as_a_fresh_one_while_the_plant_goes_on(
     assert np.abs(trace.command_1[15:] - without.command_1[15:]).max() > 0.0
 
 
-def test_a_restarted_controller_hears_the_speed_anew() -> None:
+def test_a_restarted_controller_hears_the_speed_anew():
     of = scheduled()
     speed = np.linspace(SPEEDS[0], SPEEDS[-1], TICKS)
     loop = Simulation(
@@ -265,9 +261,7 @@ class AsAnyController:
 
 @pytest.mark.parametrize("keeps", [False, True])
 @pytest.mark.parametrize("restarts", [(), ((20, 20, False),)])
-def test_the_firmware_as_any_controller_gives_the_bits_of_the_law(
-    restarts: tuple[tuple[int, int, bool], ...], keeps: bool
-) -> None:
+def test_the_firmware_as_any_controller_gives_the_bits_of_the_law(restarts, keeps):
     for plant in (lambda: sample(CAR, TICK_S), Recorded):
         law = simulate(TABLE, plant(), REFERENCE, tick_s=TICK_S, restarts=restarts)
         keeps_states = keeps and plant is not Recorded
@@ -318,7 +312,7 @@ class OneByOne:
         self.follow = Pushed().follow
 
 
-def test_compiled_ticks_of_a_car_in_the_world_have_the_bits_of_single_ticks() -> None:
+def test_compiled_ticks_of_a_car_in_the_world_have_the_bits_of_single_ticks():
     together = Simulation(TABLE, Pushed(), REFERENCE, tick_s=TICK_S)
     for until in (0, 7, TICKS):
         together.run(until)
@@ -347,7 +341,7 @@ def echoes_at(k: int) -> list[tuple[int, float, float]]:
 
 
 @pytest.mark.parametrize("plant", [sample(CAR, TICK_S), Recorded()])
-def test_the_law_hears_the_echoes_of_each_tick(plant: Any) -> None:
+def test_the_law_hears_the_echoes_of_each_tick(plant):
     target = Target(TICK_S, 1, "zoh", echoes=(Reporting(IDEAL), Reporting(IDEAL)), noise_rms=0.01)
     table, hears = build(SLOW, target), Echoes()
     loop = Simulation(

@@ -81,7 +81,7 @@ def loop_by_control(plant: Plant, target: Target, left: tuple[float, float]) -> 
 
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
 @pytest.mark.parametrize("plant", ANY, ids=[plant.name for plant in ANY])
-def test_the_loop_is_python_controls_and_stable(plant: Plant, left: tuple[float, float]) -> None:
+def test_the_loop_is_python_controls_and_stable(plant, left):
     specification = SPECIFICATION
     table = build(design(plant, specification), TARGET)
     loop = sampled_loop(law_in(table, left), plant, TICK_S, left)
@@ -94,7 +94,7 @@ def test_the_loop_is_python_controls_and_stable(plant: Plant, left: tuple[float,
 @pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 2])
 @pytest.mark.parametrize("plant", [PENDULUM, OVERSTEERING, SATELLITE], ids=lambda plant: plant.name)
-def test_the_loss_of_channel_1_is_carried(plant: Plant, latency: int) -> None:
+def test_the_loss_of_channel_1_is_carried(plant, latency):
     """d̂ is silent to rounding, the step is followed as T says, and channel 2 alone holds it."""
     made = design(plant, SPECIFICATION)
     assert made.tracking is not None
@@ -117,14 +117,14 @@ def test_the_loss_of_channel_1_is_carried(plant: Plant, latency: int) -> None:
     assert np.abs(lost - 1.0).max() < 0.15 and abs(lost[-1] - 1.0) < 1e-4
 
 
-def test_without_compensation_the_loss_runs_away() -> None:
+def test_without_compensation_the_loss_runs_away():
     table = build(design(PENDULUM, replace(SPECIFICATION, compensation=False)), TARGET)
     loop = sampled_loop(law_in(table, TORQUE_DEAD), PENDULUM, TICK_S, TORQUE_DEAD)
     assert loop.spectral_radius() == pytest.approx(np.exp(3.0 * TICK_S), rel=1e-9)
 
 
 @pytest.mark.parametrize("plant", [PENDULUM, SATELLITE], ids=lambda plant: plant.name)
-def test_reset_is_the_steady_state_of_its_first_ticks(plant: Plant) -> None:
+def test_reset_is_the_steady_state_of_its_first_ticks(plant):
     firmware = Firmware(build(design(plant, SPECIFICATION), TARGET))
     firmware.reset(0.7)
     assert firmware.commands[0] == pytest.approx(0.7 / plant.g1.dc_gain, rel=1e-9)
@@ -136,7 +136,7 @@ def test_reset_is_the_steady_state_of_its_first_ticks(plant: Plant) -> None:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("plant", [PENDULUM, SATELLITE], ids=lambda plant: plant.name)
-def test_reset_is_bumpless_and_a_gap_of_ticks_bears_the_motion(plant: Plant) -> None:
+def test_reset_is_bumpless_and_a_gap_of_ticks_bears_the_motion(plant):
     """A plant that integrates is held at any place by no command at all."""
     firmware = Firmware(build(design(plant, SPECIFICATION), TARGET))
     firmware.reset(0.7)
@@ -158,7 +158,7 @@ def test_reset_is_bumpless_and_a_gap_of_ticks_bears_the_motion(plant: Plant) -> 
     assert np.abs(estimates).max() < 1e-9
 
 
-def test_a_zero_in_the_right_half_plane_and_gains_of_either_sign() -> None:
+def test_a_zero_in_the_right_half_plane_and_gains_of_either_sign():
     plant = Plant.from_transfer_functions(
         "right zero", ZeroPoleGain((40,), (2, -5, -9), -3.0), ZeroPoleGain((), (2, -7), -4.0)
     )

@@ -1,7 +1,5 @@
 """Further sensors of a plant: their readings, filters and frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -39,7 +37,7 @@ def response(a, b, c, s):
 
 
 @pytest.mark.parametrize("s", [0.3j, 5j, 80j])
-def test_a_filter_is_a_lag_of_its_reading(s: complex) -> None:
+def test_a_filter_is_a_lag_of_its_reading(s):
     wide, readings = with_readings(PLANT, STAGES, READINGS)
     world = PLANT.world
     assert world is not None and len(readings) == 4
@@ -51,7 +49,7 @@ def test_a_filter_is_a_lag_of_its_reading(s: complex) -> None:
     np.testing.assert_allclose(x[3], [0.0, 1.0 / (1.0 + 0.02 * s)], atol=1e-12)
 
 
-def test_without_filters_the_plant_stays_and_an_ideal_actuator_echoes_its_command() -> None:
+def test_without_filters_the_plant_stays_and_an_ideal_actuator_echoes_its_command():
     same, readings = with_readings(PLANT, STAGES, [Reading(2), Reading(ECHO + 1)])
     assert same is PLANT
     np.testing.assert_array_equal(readings.acting, [[0.0, 0.0], [0.0, 1.0]])
@@ -62,14 +60,14 @@ def test_without_filters_the_plant_stays_and_an_ideal_actuator_echoes_its_comman
     np.testing.assert_allclose(found, [PLANT.world.rows[2] @ x, 9.0])
 
 
-def test_an_echo_needs_no_world() -> None:
+def test_an_echo_needs_no_world():
     (a, _, e), readings = behind_filters(PLANT.a, PLANT.b, None, STAGES, [Reading(ECHO, 0.1)])
     assert len(a) == len(PLANT.a) + 1
     assert not e.any() and readings.rows[0, -1] == 1.0
 
 
 @pytest.mark.parametrize(("dead_ticks", "expected"), [(0, 4.0), (2, 2.5)])
-def test_the_acting_command_waited_for_the_dead_time(dead_ticks: int, expected: float) -> None:
+def test_the_acting_command_waited_for_the_dead_time(dead_ticks, expected):
     plant = behind(steer_by_wire(), Stage(dead_time_s=dead_ticks * 0.001), IDEAL, IDEAL)
     sampled = sample(plant, 0.001)
     memory = sampled.memory
@@ -79,7 +77,7 @@ def test_the_acting_command_waited_for_the_dead_time(dead_ticks: int, expected: 
     assert acting_before(sampled.constants, memory, 2, 8.0, 0.5, 0) == expected
 
 
-def test_a_changing_car_at_a_constant_speed_reads_as_the_car_of_that_speed() -> None:
+def test_a_changing_car_at_a_constant_speed_reads_as_the_car_of_that_speed():
     stages = (IDEAL, IDEAL, IDEAL)
     made = changing_plant(TABLE_3_2, "physics", stages, 40.0, 0.002, READINGS)
     wide, readings = with_readings(steer_by_wire(), stages, READINGS)
@@ -112,7 +110,7 @@ def said(ticks=12, delay=0, **faults):
     return np.array(rows).T
 
 
-def test_period_phase_and_delay() -> None:
+def test_period_phase_and_delay():
     values, samples, states = said(delay=2)
     np.testing.assert_array_equal(np.flatnonzero(states == VALID), [1, 4, 7, 10])
     np.testing.assert_array_equal(states[states != VALID], NOT_SENT)
@@ -120,12 +118,12 @@ def test_period_phase_and_delay() -> None:
     np.testing.assert_array_equal(samples[2:], np.arange(10))
 
 
-def test_faults_of_a_further_sensor() -> None:
+def test_faults_of_a_further_sensor():
     np.testing.assert_array_equal(said(lies=1.0)[0], -np.arange(12.0))
     np.testing.assert_array_equal(said(swapped=1.0)[0], 100.0 + np.arange(12))
     assert set(said(invalid=1.0)[2]) == {NOT_SENT, NOT_VALID}
     np.testing.assert_array_equal(said(standing=1.0)[1], 0)
 
 
-def test_dstar_of_two_sensors_by_hand() -> None:
+def test_dstar_of_two_sensors_by_hand():
     assert dstar(0.25, 2.0, 0.1, 10.0) == pytest.approx(0.25 * 2.0 + 0.75 * 10.0 * 0.1)

@@ -1,7 +1,5 @@
 """A car that the world pushes, against an independent integration of its equations of motion."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

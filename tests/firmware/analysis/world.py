@@ -1,7 +1,5 @@
 """(3.1)-(3.8) in a world that pushes, once more, force by force, for an ODE solver."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

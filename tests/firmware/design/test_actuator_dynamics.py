@@ -1,7 +1,5 @@
 """Actuators and a sensor in series with the car: against python-control and the identities."""
 
-from __future__ import annotations
-
 import control
 import numpy as np
 import pytest
@@ -34,7 +32,7 @@ def continuous(stage: Stage) -> control.TransferFunction:
 
 
 @given(stages)
-def test_a_stage_is_the_textbook_s_with_unity_gain(stage: Stage) -> None:
+def test_a_stage_is_the_textbook_s_with_unity_gain(stage):
     expected = continuous(stage)(POINTS)
     assert_allclose(stage.transfer_function(POINTS), expected, rtol=1e-9, atol=1e-14)
     assert stage.transfer_function.dc_gain == pytest.approx(1.0, rel=1e-12)
@@ -45,7 +43,7 @@ def test_a_stage_is_the_textbook_s_with_unity_gain(stage: Stage) -> None:
 
 
 @given(stages, stages, stages)
-def test_a_plant_behind_stages_is_their_product(first: Stage, second: Stage, sensor: Stage) -> None:
+def test_a_plant_behind_stages_is_their_product(first, second, sensor):
     plant = behind(CAR, first, second, sensor)
     response = control.ss(plant.a, plant.b, plant.c, np.zeros((1, 2)))(POINTS)[0]
     for channel, g, stage in ((0, plant.g1, first), (1, plant.g2, second)):
@@ -59,7 +57,7 @@ def test_a_plant_behind_stages_is_their_product(first: Stage, second: Stage, sen
 
 
 @pytest.mark.parametrize("car", [CAR, NUMBERS])
-def test_the_output_before_the_sensor_is_that_of_the_car(car: Plant) -> None:
+def test_the_output_before_the_sensor_is_that_of_the_car(car):
     plant = behind(car, Stage(0.005), IDEAL, Stage(0.01))
     assert plant.sensed is not None
     assert (plant.world is None) == (car is NUMBERS)
@@ -68,11 +66,11 @@ def test_the_output_before_the_sensor_is_that_of_the_car(car: Plant) -> None:
     assert_allclose(before[1], car.g2(POINTS), rtol=1e-6)
 
 
-def test_behind_nothing_it_is_the_car_itself() -> None:
+def test_behind_nothing_it_is_the_car_itself():
     assert behind(CAR, IDEAL, IDEAL, IDEAL) is CAR
 
 
-def test_dead_times_stay_beside_the_channels() -> None:
+def test_dead_times_stay_beside_the_channels():
     plant = behind(CAR, Stage(dead_time_s=0.002), Stage(dead_time_s=0.003), Stage(dead_time_s=0.01))
     assert (plant.g1, plant.g2) == (CAR.g1, CAR.g2)
     assert plant.path_dead_times_s == pytest.approx((0.012, 0.013))
@@ -88,7 +86,7 @@ def test_dead_times_stay_beside_the_channels() -> None:
         ({"natural_frequency_rad_per_s": 5.0, "damping": 0.0}, r"damping = 0"),
     ],
 )
-def test_what_is_no_stage_is_refused(stage: dict[str, float], line: str) -> None:
+def test_what_is_no_stage_is_refused(stage, line):
     with pytest.raises(ParameterError, match=line):
         Stage(**stage)
 
@@ -100,9 +98,7 @@ def test_what_is_no_stage_is_refused(stage: dict[str, float], line: str) -> None
         ({"alpha": 3, "alpha_q": 3}, r"alpha_q = 3: .* must be at least 4"),
     ],
 )
-def test_an_order_that_lags_make_too_small_is_refused(
-    specification: dict[str, int], line: str
-) -> None:
+def test_an_order_that_lags_make_too_small_is_refused(specification, line):
     """G1 has relative degree 2 and G2 1; a lag and the sensor add one each."""
     plant = behind(CAR, Stage(0.005), Stage(0.015), Stage(0.01))
     with pytest.raises(ImproperError, match=line):

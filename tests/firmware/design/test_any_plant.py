@@ -46,7 +46,7 @@ channels = st.builds(
 
 @settings(max_examples=60)
 @given(channels, st.floats(0.02, 2.0))
-def test_m_has_the_unstable_poles_and_n_is_stable(g: ZeroPoleGain, tau_q_s: float) -> None:
+def test_m_has_the_unstable_poles_and_n_is_stable(g, tau_q_s):
     """M is all-pass where all these poles are fast, and a high-pass filter where they are not."""
     factors = left_coprime(g, g, tau_q_s)
     m, n = factors.denominator, factors.numerators[0]
@@ -62,7 +62,7 @@ def test_m_has_the_unstable_poles_and_n_is_stable(g: ZeroPoleGain, tau_q_s: floa
 
 @settings(max_examples=60)
 @given(channels, st.floats(0.02, 0.1), st.integers(6, 7))
-def test_c_is_youlas_and_holds_the_plant(g1: ZeroPoleGain, tau_q_s: float, alpha_q: int) -> None:
+def test_c_is_youlas_and_holds_the_plant(g1, tau_q_s, alpha_q):
     """U N1 + V M = 1 with V = 1 - U N1 - R; T as asked; the loop's poles by python-control."""
     made = tracking(g1, tau_q_s, alpha_q)
     factors = left_coprime(g1, g1, tau_q_s)
@@ -93,9 +93,7 @@ def test_c_is_youlas_and_holds_the_plant(g1: ZeroPoleGain, tau_q_s: float, alpha
 @pytest.mark.compiled
 @settings(max_examples=25)
 @given(unstable_poles, st.lists(LEFT, min_size=1, max_size=2), st.lists(LEFT, max_size=1))
-def test_transfer_functions_share_their_unstable_modes(
-    poles: tuple[complex, ...], stable: list[float], zeros: list[float]
-) -> None:
+def test_transfer_functions_share_their_unstable_modes(poles, stable, zeros):
     g1 = ZeroPoleGain((-1.0,), (*poles, *stable, -35.0), 2.0)
     g2 = ZeroPoleGain(tuple(zeros), (*poles, -7.0, -12.0), -5.0)
     plant = Plant.from_transfer_functions("made", g1, g2)
@@ -103,7 +101,7 @@ def test_transfer_functions_share_their_unstable_modes(
     _assert_channels_are_the_state_space(plant, rel=1e-8)
 
 
-def test_an_unstable_mode_of_one_channel_alone_is_refused() -> None:
+def test_an_unstable_mode_of_one_channel_alone_is_refused():
     stable, other = ZeroPoleGain((), (-1, -2), 1.0), ZeroPoleGain((), (2, -2), 1.0)
     with pytest.raises(UnstablePlantError, match="of G1: 2 rad/s; of G2: none: must be"):
         Plant.from_transfer_functions("made", other, stable)
@@ -111,7 +109,7 @@ def test_an_unstable_mode_of_one_channel_alone_is_refused() -> None:
     assert Plant.from_transfer_functions("made", other, nearly).g2.poles == other.poles
 
 
-def test_an_inverted_pendulum_by_hand() -> None:
+def test_an_inverted_pendulum_by_hand():
     """G1 = k/(s² - p²), αq = 2: with 1 + c1 p = (1 + τp)³ T(p) is 1; s and s - p divide 1 - T."""
     p, tau = 3.0, 0.05
     made = tracking(ZeroPoleGain((), (p, -p), 10.0), tau, 2)

@@ -18,7 +18,6 @@ from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import (
     AxisZeroError,
-    DesignError,
     ImproperError,
     ParameterError,
     UnstableFilterError,
@@ -49,7 +48,7 @@ PRINTED = _plant(
 
 
 @pytest.mark.parametrize("plant", [steer_by_wire(), steer_by_wire(variant="published")])
-def test_the_published_design(plant: Plant) -> None:
+def test_the_published_design(plant):
     whole = design(plant, PUBLISHED)
     assert whole.plant is plant
     assert whole.specification is PUBLISHED
@@ -60,7 +59,7 @@ def test_the_published_design(plant: Plant) -> None:
 
 
 @pytest.mark.parametrize("plant", [steer_by_wire(), PRINTED])
-def test_after_the_loss_the_loop_closes_through_channel_2(plant: Plant) -> None:
+def test_after_the_loss_the_loop_closes_through_channel_2(plant):
     """u1 = C e, d̂ = G1 u1, y = G2 F̂ d̂: 1/(1 + L) = (1 - q̂)/(1 - q̂ + q̂ q G2i)."""
     whole = design(plant, PUBLISHED)
     loop = plant.g2(S) * whole.compensator(S) * plant.g1(S) * whole.tracking.controller(S)
@@ -69,13 +68,13 @@ def test_after_the_loss_the_loop_closes_through_channel_2(plant: Plant) -> None:
     assert 1 / (1 + loop) == pytest.approx(expected, rel=1e-8)
 
 
-def test_printed_3_36_is_factored_and_its_channel_1_tracked() -> None:
+def test_printed_3_36_is_factored_and_its_channel_1_tracked():
     whole = design(PRINTED, PUBLISHED)
     assert whole.inner.zeros[0] == pytest.approx(2.37 + 20.1j, abs=0.05)
     assert whole.compensator.is_stable()
 
 
-def test_chapter_2_is_open_loop() -> None:
+def test_chapter_2_is_open_loop():
     whole = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
     assert whole.tracking is None
     assert whole.compensator(S) == pytest.approx(
@@ -83,19 +82,19 @@ def test_chapter_2_is_open_loop() -> None:
     )  # (2.37) with (2.43)
 
 
-def test_without_compensation() -> None:
+def test_without_compensation():
     whole = design(steer_by_wire(), DesignSpecification(compensation=False))
     assert whole.compensator is None
     assert whole.tracking is not None
 
 
-def test_q_reaches_the_estimator() -> None:
+def test_q_reaches_the_estimator():
     q = ZeroPoleGain.lag(0.1, 1)
     whole = design(chapter_2(), DesignSpecification(q=q))
     assert whole.estimator.one_plus_q(S) == pytest.approx(1 + q(S), rel=1e-12)
 
 
-def test_what_is_not_asked_for_is_not_refused() -> None:
+def test_what_is_not_asked_for_is_not_refused():
     axis_zero = _plant([1, 0], [1, 3], [1, 3, 2])
     assert design(axis_zero, DesignSpecification(feedback=False)).tracking is None
     double_lag = _plant([1, 1], [2], [1, 3, 2])
@@ -134,22 +133,20 @@ def test_what_is_not_asked_for_is_not_refused() -> None:
         ),
     ],
 )
-def test_every_assumption_has_its_error(
-    plant: Plant, change: dict[str, object], error: type[DesignError], named: str
-) -> None:
+def test_every_assumption_has_its_error(plant, change, error, named):
     with pytest.raises(error, match=named):
         design(plant, replace(PUBLISHED, **change))
 
 
 @pytest.mark.parametrize("field", ["tau_s", "tau_q_s"])
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
-def test_time_constants_refused_by_name(field: str, value: float) -> None:
+def test_time_constants_refused_by_name(field, value):
     with pytest.raises(ParameterError, match=rf"^{field} = {value}: must be finite and > 0"):
         replace(PUBLISHED, **{field: value})
 
 
 @pytest.mark.parametrize("field", ["alpha", "alpha_q"])
 @pytest.mark.parametrize("value", [0, 1.0, True, "2"])
-def test_orders_refused_by_name(field: str, value: object) -> None:
+def test_orders_refused_by_name(field, value):
     with pytest.raises(ParameterError, match=rf"^{field} = {value!r}: must be an integer >= 1"):
         replace(PUBLISHED, **{field: value})

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from firmware_model.design.continuous_design import fault_estimator
-from firmware_model.design.plants import Plant, chapter_2, steer_by_wire
+from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import ImproperError, UnstableFilterError
 
@@ -25,7 +25,7 @@ free_parameters = st.builds(
 
 
 @given(st.sampled_from(PLANTS), free_parameters)
-def test_healthy_plant_is_silent_for_every_q(plant: Plant, q: ZeroPoleGain) -> None:
+def test_healthy_plant_is_silent_for_every_q(plant, q):
     estimator = fault_estimator(plant.coprime(1.0), q)
     for f1, g in zip(estimator.f1, (plant.g1, plant.g2), strict=True):
         assert f1 == (estimator.f2 * g).scaled(-1.0)  # F1 + F2 G = 0 (2.20), to the last bit
@@ -37,7 +37,7 @@ def test_healthy_plant_is_silent_for_every_q(plant: Plant, q: ZeroPoleGain) -> N
 
 
 @pytest.mark.parametrize("plant", PLANTS)
-def test_without_q_it_is_theorem_2_3_2(plant: Plant) -> None:
+def test_without_q_it_is_theorem_2_3_2(plant):
     estimator = fault_estimator(plant.coprime(1.0))
     assert estimator.f1 == (plant.g1, plant.g2)
     assert estimator.f2 == ZeroPoleGain.constant(-1.0)
@@ -47,7 +47,7 @@ def test_without_q_it_is_theorem_2_3_2(plant: Plant) -> None:
     assert estimator.f1[1](S) + estimator.f2(S) * plant.g2(S) == pytest.approx(0, abs=1e-15)
 
 
-def test_a_sum_that_cancels_to_rounding_loses_its_degree() -> None:
+def test_a_sum_that_cancels_to_rounding_loses_its_degree():
     # 0.3 - (0.1 + 0.2) is -5.6e-17 in floats: without the rounding rule, d̂ of a tiny gain
     q = ZeroPoleGain((-0.3,), (-(0.1 + 0.2),), -1.0)
     assert fault_estimator(chapter_2().coprime(1.0), q).one_plus_q.gain == 0.0
@@ -58,11 +58,11 @@ def test_a_sum_that_cancels_to_rounding_loses_its_degree() -> None:
 
 
 @pytest.mark.parametrize("pole", [0.0, 2.0])
-def test_unstable_q_is_refused(pole: float) -> None:
+def test_unstable_q_is_refused(pole):
     with pytest.raises(UnstableFilterError, match=rf"Q has a pole at {pole:.6g}"):
         fault_estimator(chapter_2().coprime(1.0), ZeroPoleGain((), (-1, pole), 1.0))
 
 
-def test_improper_q_is_refused() -> None:
+def test_improper_q_is_refused():
     with pytest.raises(ImproperError, match="Q has 2 zeros and 1 poles"):
         fault_estimator(chapter_2().coprime(1.0), ZeroPoleGain((-1, -2), (-3,), 1.0))

@@ -25,7 +25,7 @@ channels = st.builds(
 
 
 @given(channels)
-def test_factors(g: ZeroPoleGain) -> None:
+def test_factors(g):
     inner, outer = inner_outer(g)
     assert np.abs(inner(AXIS)) == pytest.approx(1.0, rel=1e-12)
     assert inner.dc_gain == 1.0
@@ -41,11 +41,11 @@ def test_factors(g: ZeroPoleGain) -> None:
 @pytest.mark.parametrize(
     "g", [chapter_2().g2, steer_by_wire().g2, steer_by_wire(variant="published").g2]
 )
-def test_a_minimum_phase_channel_is_its_own_outer_factor(g: ZeroPoleGain) -> None:
+def test_a_minimum_phase_channel_is_its_own_outer_factor(g):
     assert inner_outer(g) == (ZeroPoleGain.constant(1.0), g)
 
 
-def test_3_36_as_printed_is_non_minimum_phase() -> None:
+def test_3_36_as_printed_is_non_minimum_phase():
     inner, outer = inner_outer(PRINTED_3_36)
     assert inner.zeros[0] == pytest.approx(2.37 + 20.1j, abs=0.05)
     assert len(inner.zeros) == 2
@@ -57,7 +57,7 @@ def test_3_36_as_printed_is_non_minimum_phase() -> None:
     assert outer.dc_gain == PRINTED_3_36.dc_gain
 
 
-def test_one_real_zero_in_closed_form() -> None:
+def test_one_real_zero_in_closed_form():
     inner, outer = inner_outer(ZeroPoleGain((4,), (-1, -2), 3.0))
     assert inner == ZeroPoleGain((4,), (-4,), -1.0)  # (4 - s)/(4 + s)
     assert outer == ZeroPoleGain((-4,), (-1, -2), -3.0)
@@ -66,24 +66,24 @@ def test_one_real_zero_in_closed_form() -> None:
 @pytest.mark.parametrize(
     "zeros", [(0,), (2j, -2j), (1e-7 + 1j, 1e-7 - 1j), (-1e-7 + 1j, -1e-7 - 1j), (0, -3)]
 )
-def test_axis_zeros_are_refused(zeros: tuple[complex, ...]) -> None:
+def test_axis_zeros_are_refused(zeros):
     with pytest.raises(AxisZeroError, match=r"G has a zero at .* rad/s, on the imaginary axis"):
         inner_outer(ZeroPoleGain(zeros, (-1, -2, -3), 1.0))
 
 
-def test_a_double_axis_zero_split_by_rounding_is_refused() -> None:
+def test_a_double_axis_zero_split_by_rounding_is_refused():
     split = ZeroPoleGain.from_coefficients(np.polymul([1, 0, 7.3], [1, 0, 7.3]), DENOMINATOR)
     with pytest.raises(AxisZeroError):
         inner_outer(split)
 
 
-def test_a_lightly_damped_zero_is_clear_of_the_axis() -> None:
+def test_a_lightly_damped_zero_is_clear_of_the_axis():
     assert inner_outer(ZeroPoleGain((2e-6 + 1j, 2e-6 - 1j), (-1, -2), 1.0))[0].order == 2
     with pytest.raises(AxisZeroError, match=r"within a damping ratio of 1e-06"):
         inner_outer(ZeroPoleGain((5e-7 + 1j, 5e-7 - 1j), (-1, -2), 1.0))
 
 
-def test_zero_and_unstable_channels_are_refused() -> None:
+def test_zero_and_unstable_channels_are_refused():
     with pytest.raises(ZeroChannelError, match=r"G\(s\) is identically zero"):
         inner_outer(ZeroPoleGain.constant(0.0))
     for pole in (0.0, 3.0):

@@ -17,7 +17,7 @@ AXIS = 1j * np.geomspace(1e-3, 1e4, 4000)
 
 @settings(max_examples=60)
 @given(channels, st.floats(0.02, 0.3))
-def test_every_c_obeys_them(g1: ZeroPoleGain, tau_q_s: float) -> None:
+def test_every_c_obeys_them(g1, tau_q_s):
     t = tracking(g1, tau_q_s, 6).complementary(AXIS)
     zeros = tuple(zero for zero in g1.zeros if zero.real > 0)
     found = limitations(zeros, unstable(g1))
@@ -29,7 +29,7 @@ def test_every_c_obeys_them(g1: ZeroPoleGain, tau_q_s: float) -> None:
 
 
 @given(st.floats(0.1, 9.0), st.floats(10.0, 90.0))
-def test_one_zero_and_one_pole_attain_them(p: float, z: float) -> None:
+def test_one_zero_and_one_pole_attain_them(p, z):
     """S = B (s - p)/(s + p) is 1 at z and 0 at p, T = B' (z - s)/(z + s) the reverse."""
     found = limitations((z,), (p,))
     s = found.sensitivity * ZeroPoleGain((p,), (-p,), 1.0)(complex(z))
@@ -41,7 +41,7 @@ def test_one_zero_and_one_pole_attain_them(p: float, z: float) -> None:
 
 
 @given(st.floats(0.5, 20.0), st.floats(0.0, 30.0), st.floats(0.02, 0.15))
-def test_the_angle_is_poissons_integral(a: float, b: float, p: float) -> None:
+def test_the_angle_is_poissons_integral(a, b, p):
     """ln 2 is ln|S| = -ln 2 within ω and +ln 2 without, weighted by what z sees, and π ln B."""
     zero, pole = complex(a, b), complex(p)
     found = limitations((zero,), (pole,))
@@ -54,7 +54,7 @@ def test_the_angle_is_poissons_integral(a: float, b: float, p: float) -> None:
     assert balance == pytest.approx(math.pi * math.log(least), abs=1e-6)
 
 
-def test_of_a_stable_minimum_phase_plant_nothing_is_impossible() -> None:
+def test_of_a_stable_minimum_phase_plant_nothing_is_impossible():
     found = limitations((), ())
     assert (found.sensitivity, found.complementary) == (1.0, 1.0)
     assert found.halving_rad_per_s == math.inf

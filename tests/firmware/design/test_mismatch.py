@@ -1,7 +1,5 @@
 """Principal directions of a box of cars: against derivatives by hand and an independent SVD."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -55,7 +53,7 @@ def gram(*of_g2: int) -> FloatArray:
 
 
 @pytest.mark.parametrize("of_g2", [(), (0,), (1,), (0, 1)])
-def test_they_are_the_eigenvectors_of_what_the_parameters_show(of_g2: tuple[int, ...]) -> None:
+def test_they_are_the_eigenvectors_of_what_the_parameters_show(of_g2):
     """In both channels: the torque does the work before a loss, the force difference after it."""
 
     def channels(place: FloatArray) -> Channels:
@@ -71,19 +69,19 @@ def test_they_are_the_eigenvectors_of_what_the_parameters_show(of_g2: tuple[int,
     assert found.cars == tuple(channels(place) for place in places[-2:])
 
 
-def test_parameters_that_show_alike_are_one_direction() -> None:
+def test_parameters_that_show_alike_are_one_direction():
     found, places = made(2, lambda place: lag_at(place[0] + place[1], 0.0))
     assert len(found.cars) == 1
     assert abs(places[-1][0] - places[-1][1]) < 1e-9
 
 
-def test_parameters_that_only_the_second_channel_shows_are_directions_too() -> None:
+def test_parameters_that_only_the_second_channel_shows_are_directions_too():
     found, _ = made(2, lambda place: (lag_at(place[0], 0.0), lag_at(0.0, place[1])))
     assert len(found.cars) == 2
 
 
 @pytest.mark.parametrize("most", [1, 2, 3, 4])
-def test_what_shows_nothing_is_no_direction_and_there_is_room_for_so_many(most: int) -> None:
+def test_what_shows_nothing_is_no_direction_and_there_is_room_for_so_many(most):
     """The largest stay."""
     found, _ = made(3, lambda place: lag_at(place[0], 0.0 * place[1]))
     assert len(found.cars) == 1
@@ -100,12 +98,12 @@ def test_what_shows_nothing_is_no_direction_and_there_is_room_for_so_many(most: 
     assert list(found.singular_values) == sorted(found.singular_values, reverse=True)
 
 
-def test_without_parameters_the_model_is_trusted() -> None:
+def test_without_parameters_the_model_is_trusted():
     assert made(0, lambda place: lag_at(0.0, 0.0)) == (TRUSTED, [])
     assert TRUSTED.cars == ()
 
 
-def test_each_car_stands_at_its_place() -> None:
+def test_each_car_stands_at_its_place():
     found, _ = made(2, lambda place: lag_at(*place))
     assert len(found.cars) == len(found.places) == 2
     for (g1, _), place in zip(found.cars, found.places, strict=True):

@@ -31,7 +31,7 @@ def _thesis_c(plant: Plant, tau_q_s: float, alpha_q: int, omega: float) -> compl
 @pytest.mark.parametrize("plant", PLANTS)
 @pytest.mark.parametrize("alpha_q", [2, 3, 4, 7])
 @pytest.mark.parametrize("tau_q_s", [1e-3, 0.02, 1.0])
-def test_it_is_3_32(plant: Plant, alpha_q: int, tau_q_s: float) -> None:
+def test_it_is_3_32(plant, alpha_q, tau_q_s):
     c = tracking(plant.g1, tau_q_s, alpha_q).controller
     assert c.order == len(plant.g1.zeros) + alpha_q
     for omega in OMEGAS:
@@ -41,15 +41,13 @@ def test_it_is_3_32(plant: Plant, alpha_q: int, tau_q_s: float) -> None:
 
 @pytest.mark.parametrize("plant", PLANTS)
 @given(tau_q_s=st.floats(1e-4, 10), alpha_q=st.integers(2, 6), omega=st.floats(1e-2, 1e3))
-def test_sensitivity_is_one_less_q_hat(
-    plant: Plant, tau_q_s: float, alpha_q: int, omega: float
-) -> None:
+def test_sensitivity_is_one_less_q_hat(plant, tau_q_s, alpha_q, omega):
     s = 1j * omega
     sensitivity = 1 / (1 + tracking(plant.g1, tau_q_s, alpha_q).controller(s) * plant.g1(s))
     assert sensitivity == pytest.approx(1 - 1 / (1 + tau_q_s * s) ** alpha_q, rel=1e-8, abs=1e-13)
 
 
-def test_3_40_with_its_errata() -> None:
+def test_3_40_with_its_errata():
     c = tracking(steer_by_wire(variant="published").g1, 0.001, 2).controller
     assert c.order == 4
     assert c.numerator() / c.gain == pytest.approx([1, 27.8684, 494.8547, 5616.1, 20333], rel=3e-5)
@@ -60,19 +58,19 @@ def test_3_40_with_its_errata() -> None:
     assert denominator[-1] == 0.0
 
 
-def test_the_first_sample_of_a_step_asks_half_a_million_newton_metres() -> None:
+def test_the_first_sample_of_a_step_asks_half_a_million_newton_metres():
     c = tracking(steer_by_wire().g1, 0.001, 2).controller
     assert c.relative_degree == 0
     assert c.gain == pytest.approx(1 / (2.0093 * 1e-6), rel=1e-5)
 
 
-def test_the_integrator_is_exact() -> None:
+def test_the_integrator_is_exact():
     for order in (2, 3, 9):
         assert tracking(chapter_2().g1, 0.0137, order).controller.poles.count(0j) == 1
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 8, 13, 100])
-def test_roots_of_one(order: int) -> None:
+def test_roots_of_one(order):
     roots = roots_of_one_less_one(order)
     assert len(set(roots)) == order
     for root in roots:
@@ -85,7 +83,7 @@ def test_roots_of_one(order: int) -> None:
     ZeroPoleGain((), roots, 1.0)  # refuses unless the pairs are exact
 
 
-def test_relative_degree_is_the_least_alpha_q() -> None:
+def test_relative_degree_is_the_least_alpha_q():
     g1 = steer_by_wire().g1
     with pytest.raises(ImproperError, match=r"alpha_q = 1: .* alpha_q must be at least 2"):
         tracking(g1, 0.001, 1)
@@ -101,24 +99,24 @@ def test_relative_degree_is_the_least_alpha_q() -> None:
         (ZeroPoleGain.constant(0.0), ZeroChannelError, "G1"),
     ],
 )
-def test_plants_refused(g1: ZeroPoleGain, error: type[Exception], named: str) -> None:
+def test_plants_refused(g1, error, named):
     with pytest.raises(error, match=named):
         tracking(g1, 0.001, 2)
 
 
 @pytest.mark.parametrize("tau_q_s", [0.0, -1.0, float("nan"), float("inf")])
-def test_tau_refused(tau_q_s: float) -> None:
+def test_tau_refused(tau_q_s):
     with pytest.raises(ParameterError, match=rf"^tau_q_s = {tau_q_s}"):
         tracking(chapter_2().g1, tau_q_s, 2)
 
 
 @pytest.mark.parametrize("alpha_q", [0, 2.0, True])
-def test_alpha_refused(alpha_q: int) -> None:
+def test_alpha_refused(alpha_q):
     with pytest.raises(ParameterError, match=rf"^alpha_q = {alpha_q}: must be an integer >= 1"):
         tracking(chapter_2().g1, 0.001, alpha_q)
 
 
-def test_closed_loop_poles_are_those_of_q_hat_and_the_cancelled_modes() -> None:
+def test_closed_loop_poles_are_those_of_q_hat_and_the_cancelled_modes():
     g1, alpha_q, tau_q_s = steer_by_wire().g1, 2, 0.05
     c = tracking(g1, tau_q_s, alpha_q).controller
     characteristic = np.polyadd(

@@ -25,9 +25,7 @@ cars = st.builds(
 
 
 @given(cars, st.lists(st.floats(-1, 1), min_size=4, max_size=4), st.floats(-9, 9), st.floats(-9, 9))
-def test_rows_are_the_equations_of_motion(
-    car: VehicleParameters, state: list[float], torque: float, force_difference: float
-) -> None:
+def test_rows_are_the_equations_of_motion(car, state, torque, force_difference):
     a, b, c = vehicle_state_space(car)
     x = np.array(state)
     beta, yaw_rate, steer_rate, steer = state
@@ -59,7 +57,7 @@ def _tf(variant: str, channel: int) -> tuple[np.ndarray, np.ndarray]:
     return num[0], den
 
 
-def test_printed_denominator() -> None:
+def test_printed_denominator():
     _, den = _tf("physics", 0)
     assert den[:3] == pytest.approx([1, 27.8684, 494.8547], abs=5e-5)
     assert den[3:] == pytest.approx([5.6161e3, 2.0333e4], abs=0.5)  # 20332.53 in four digits
@@ -75,21 +73,21 @@ def test_printed_denominator() -> None:
         ("published", 1, [0.0023, 0.0352, 0.8719, 5.8851]),  # (3.36), .00352 corrected
     ],
 )
-def test_numerators(variant: str, channel: int, expected: list[float]) -> None:
+def test_numerators(variant, channel, expected):
     num, _ = _tf(variant, channel)
     for value, printed in zip(num[-len(expected) :], expected, strict=True):
         decimals = len(str(printed).partition(".")[2])
         assert value == pytest.approx(printed, abs=0.501 * 10**-decimals)
 
 
-def test_the_variants_differ_in_one_entry() -> None:
+def test_the_variants_differ_in_one_entry():
     physics, published = (vehicle_state_space(TABLE_3_2, v) for v in ("physics", "published"))
     assert np.array_equal(physics[0], published[0])
     assert np.array_equal(physics[1], published[1])
     assert (physics[2] != published[2]).tolist() == [[False, True, False, False]]
 
 
-def test_table_3_2_is_the_default() -> None:
+def test_table_3_2_is_the_default():
     assert VehicleParameters() == TABLE_3_2
     values = [getattr(TABLE_3_2, f.name) for f in fields(TABLE_3_2)]
     assert values == [1400, 2457, 1.02, 1.58, 1.48, 11.98, 9, 33700, 56200, 0.05, 10, 0.5]
@@ -97,7 +95,7 @@ def test_table_3_2_is_the_default() -> None:
 
 @pytest.mark.parametrize("field", [f.name for f in fields(VehicleParameters)])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1.0])
-def test_every_field_refuses_nonsense_by_name(field: str, value: float) -> None:
+def test_every_field_refuses_nonsense_by_name(field, value):
     with pytest.raises(ParameterError, match=rf"^{field} = {value}: must "):
         replace(TABLE_3_2, **{field: value})
 
@@ -110,12 +108,12 @@ def test_every_field_refuses_nonsense_by_name(field: str, value: float) -> None:
         if f.name not in ("steering_damping_nms_per_rad", "lateral_weight")
     ],
 )
-def test_zero_is_refused_where_it_means_nothing(field: str) -> None:
+def test_zero_is_refused_where_it_means_nothing(field):
     with pytest.raises(ParameterError, match=rf"^{field} = 0.0: must be finite and > 0"):
         replace(TABLE_3_2, **{field: 0.0})
 
 
-def test_ends_of_the_ranges_are_allowed() -> None:
+def test_ends_of_the_ranges_are_allowed():
     assert replace(TABLE_3_2, steering_damping_nms_per_rad=0.0).steering_damping_nms_per_rad == 0
     for d in (0.0, 1.0):
         assert replace(TABLE_3_2, lateral_weight=d).lateral_weight == d
@@ -123,6 +121,6 @@ def test_ends_of_the_ranges_are_allowed() -> None:
         replace(TABLE_3_2, lateral_weight=1.01)
 
 
-def test_unknown_variant() -> None:
+def test_unknown_variant():
     with pytest.raises(ParameterError, match="variant = 'printed': must be one of"):
         vehicle_state_space(TABLE_3_2, "printed")  # type: ignore[arg-type]

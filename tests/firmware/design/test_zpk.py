@@ -42,12 +42,12 @@ def _mp_value(g: ZeroPoleGain, s: complex) -> complex:
 
 
 @given(functions, points)
-def test_value_is_the_factored_product(g: ZeroPoleGain, s: complex) -> None:
+def test_value_is_the_factored_product(g, s):
     assert g(s) == pytest.approx(_mp_value(g, s), rel=1e-13)
 
 
 @given(functions, points)
-def test_coefficients_expand_the_factors(g: ZeroPoleGain, s: complex) -> None:
+def test_coefficients_expand_the_factors(g, s):
     assert g.numerator().dtype == g.denominator().dtype == np.float64
     assert g.numerator().shape == (len(g.zeros) + 1,)
     assert g.denominator()[0] == 1.0
@@ -58,7 +58,7 @@ def test_coefficients_expand_the_factors(g: ZeroPoleGain, s: complex) -> None:
 
 
 @given(functions, functions, points)
-def test_product_inverse_and_scaling(g: ZeroPoleGain, h: ZeroPoleGain, s: complex) -> None:
+def test_product_inverse_and_scaling(g, h, s):
     assert (g * h)(s) == pytest.approx(g(s) * h(s), rel=1e-12)
     assert (g * h).order == g.order + h.order
     assert (g * h) == (h * g)
@@ -68,32 +68,32 @@ def test_product_inverse_and_scaling(g: ZeroPoleGain, h: ZeroPoleGain, s: comple
 
 
 @given(functions)
-def test_only_asked_for_cancellation_cancels(g: ZeroPoleGain) -> None:
+def test_only_asked_for_cancellation_cancels(g):
     product = g * g.inverse()
     assert product.order == g.order + len(g.zeros)
     assert product.cancelled() == ZeroPoleGain.constant(g.gain * (1 / g.gain))
 
 
-def test_cancellation_takes_pairs_once_and_only_exact_ones() -> None:
+def test_cancellation_takes_pairs_once_and_only_exact_ones():
     near = math.nextafter(-1.0, 0.0)
     g = ZeroPoleGain((-1, -1, -2), (-1, near, -3), 2.0)
     assert g.cancelled() == ZeroPoleGain((-1, -2), (near, -3), 2.0)
 
 
 @given(functions)
-def test_roots_survive_a_round_trip_through_their_order(g: ZeroPoleGain) -> None:
+def test_roots_survive_a_round_trip_through_their_order(g):
     assert ZeroPoleGain(g.zeros[::-1], g.poles[::-1], g.gain) == g
     assert hash(ZeroPoleGain(g.zeros[::-1], g.poles[::-1], g.gain)) == hash(g)
 
 
-def test_canonical_order() -> None:
+def test_canonical_order():
     g = ZeroPoleGain((), (-2 - 1j, -5, -2 + 1j, 3, -3, -2 + 1j, -2 - 1j, complex(-0.0, -0.0)), 1.0)
     assert g.poles == (0j, -3, 3, -5, -2 + 1j, -2 - 1j, -2 + 1j, -2 - 1j)
     assert ZeroPoleGain((2 + 1j, 2 - 1j, -1 - 1j, -1 + 1j), (), 1.0).zeros[0] == -1 + 1j
     assert math.copysign(1, g.poles[0].real) == math.copysign(1, g.poles[0].imag) == 1
 
 
-def test_value_over_an_array_keeps_its_shape() -> None:
+def test_value_over_an_array_keeps_its_shape():
     g = ZeroPoleGain((-3,), (-1, -2), 1.0)
     s = 1j * np.arange(6.0).reshape(2, 3)
     assert g(s).shape == (2, 3)
@@ -102,13 +102,13 @@ def test_value_over_an_array_keeps_its_shape() -> None:
     assert g(0j) == 1.5
 
 
-def test_value_at_a_pole_is_not_finite() -> None:
+def test_value_at_a_pole_is_not_finite():
     assert not np.isfinite(ZeroPoleGain((), (-1,), 1.0)(-1))
 
 
 @pytest.mark.parametrize("order", [1, 2, 5])
 @pytest.mark.parametrize("tau_s", [1e-3, 0.7, 20.0])
-def test_lag(tau_s: float, order: int) -> None:
+def test_lag(tau_s, order):
     q = ZeroPoleGain.lag(tau_s, order)
     s = 1j * np.logspace(-2, 4, 20)
     assert q(s) == pytest.approx(1 / (1 + tau_s * s) ** order, rel=1e-13)
@@ -130,12 +130,12 @@ def test_lag(tau_s: float, order: int) -> None:
         (1e200, 2, "tau_s = 1e\\+200"),
     ],
 )
-def test_lag_refuses(tau_s: float, order: int, named: str) -> None:
+def test_lag_refuses(tau_s, order, named):
     with pytest.raises(ParameterError, match=named):
         ZeroPoleGain.lag(tau_s, order)
 
 
-def test_degrees_and_properness() -> None:
+def test_degrees_and_properness():
     g = ZeroPoleGain((-3,), (-1, -2), 1.0)
     assert (g.order, g.relative_degree, g.is_proper) == (2, 1, True)
     assert not g.inverse().is_proper
@@ -145,7 +145,7 @@ def test_degrees_and_properness() -> None:
 @pytest.mark.parametrize(
     ("poles", "stable"), [((), True), ((-1e-9,), True), ((0,), False), ((1j, -1j), False)]
 )
-def test_stability_is_strict(poles: tuple[complex, ...], stable: bool) -> None:
+def test_stability_is_strict(poles, stable):
     assert ZeroPoleGain((), poles, 1.0).is_stable() is stable
 
 
@@ -161,25 +161,25 @@ def test_stability_is_strict(poles: tuple[complex, ...], stable: bool) -> None:
         (ZeroPoleGain.constant(0.0), 0.0),
     ],
 )
-def test_dc_gain_is_the_limit(g: ZeroPoleGain, expected: float) -> None:
+def test_dc_gain_is_the_limit(g, expected):
     assert g.dc_gain == expected
 
 
 @given(roots, roots, points)
-def test_from_coefficients(zeros: list[complex], poles: list[complex], s: complex) -> None:
+def test_from_coefficients(zeros, poles, s):
     num, den = (np.atleast_1d(k * np.poly(r).real) for k, r in ((2.0, zeros), (-4.0, poles)))
     g = ZeroPoleGain.from_coefficients(num, den)
     assert g.gain == -0.5
     assert g(s) == pytest.approx(np.polyval(num, s) / np.polyval(den, s), rel=1e-9)
 
 
-def test_from_coefficients_strips_leading_zeros_and_keeps_the_origin() -> None:
+def test_from_coefficients_strips_leading_zeros_and_keeps_the_origin():
     g = ZeroPoleGain.from_coefficients([0, 0, 2, 0], [0, 1, 3, 0, 0])
     assert g == ZeroPoleGain((0,), (0, 0, -3), 2.0)
     assert ZeroPoleGain.from_coefficients(3, 2) == ZeroPoleGain.constant(1.5)
 
 
-def test_the_zero_function_has_no_roots_and_no_inverse() -> None:
+def test_the_zero_function_has_no_roots_and_no_inverse():
     zero = ZeroPoleGain((-1,), (-2, -3), 0.0)
     assert zero == ZeroPoleGain.constant(0.0) == ZeroPoleGain.from_coefficients([0.0], [1, 2])
     assert zero(1j) == 0
@@ -199,7 +199,7 @@ def test_the_zero_function_has_no_roots_and_no_inverse() -> None:
         ([1], [1e-300, 1e300], "den leads with 1e-300"),
     ],
 )
-def test_coefficients_refused(num: list[float], den: list[float], named: str) -> None:
+def test_coefficients_refused(num, den, named):
     with pytest.raises(ParameterError, match=named):
         ZeroPoleGain.from_coefficients(num, den)
 
@@ -217,13 +217,11 @@ def test_coefficients_refused(num: list[float], den: list[float], named: str) ->
         ((), (1 + 1j, 1 + 1j, 1 - 1j), 1.0, "without its exact conjugate"),
     ],
 )
-def test_construction_refused(
-    zeros: tuple[complex, ...], poles: tuple[complex, ...], gain: float, named: str
-) -> None:
+def test_construction_refused(zeros, poles, gain, named):
     with pytest.raises(ParameterError, match=named):
         ZeroPoleGain(zeros, poles, gain)
 
 
-def test_frozen() -> None:
+def test_frozen():
     with pytest.raises(FrozenInstanceError):
         ZeroPoleGain.constant(1.0).gain = 2.0  # type: ignore[misc]

@@ -1,7 +1,5 @@
 """Random stable filters, and what theory says of them in fifty digits."""
 
-from __future__ import annotations
-
 import math
 
 import mpmath

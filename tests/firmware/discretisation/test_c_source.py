@@ -1,9 +1,6 @@
 """A filter's C files as text; `tests/rig/export` compares their results."""
 
-from __future__ import annotations
-
 import re
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +14,7 @@ THIRD = discretise(([2.0], [1.0, 3.0, 4.0, 5.0]), 1e-3, "zoh")
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("made", [LEAD, THIRD])
-def test_every_coefficient_is_exact(made: Any, precision: Any) -> None:
+def test_every_coefficient_is_exact(made, precision):
     stored = made.in_precision(precision)
     header, source = stored.to_c("lead").values()
     suffix = "f" if precision == "float32" else ""
@@ -29,14 +26,14 @@ def test_every_coefficient_is_exact(made: Any, precision: Any) -> None:
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_real_numbers_have_one_type(precision: Any) -> None:
+def test_real_numbers_have_one_type(precision):
     texts = LEAD.in_precision(precision).to_c().values()
     code = re.sub(r"/\*.*?\*/", "", "".join(texts), flags=re.S)
     assert ("double" in code) == (precision == "float64") == ("float " not in code)
     assert bool(re.search(r"\d\.\d+(?![\df.e])", code)) == (precision == "float64")
 
 
-def test_files_have_the_name_and_say_what_they_are() -> None:
+def test_files_have_the_name_and_say_what_they_are():
     files = LEAD.to_c("lead")
     assert sorted(files) == ["lead.c", "lead.h"]
     assert "Filter of order 1, tustin, tick 0.001 s, float64: DC gain 0.01" in files["lead.h"]
@@ -44,7 +41,7 @@ def test_files_have_the_name_and_say_what_they_are() -> None:
 
 
 @pytest.mark.parametrize("name", ["", "2nd", "low-pass", "a b", "é", "a\n"])
-def test_a_name_that_is_none_in_c_is_refused(name: str) -> None:
+def test_a_name_that_is_none_in_c_is_refused(name):
     with pytest.raises(ParameterError, match="must be a name in C"):
         LEAD.to_c(name)
 
@@ -57,7 +54,7 @@ TAKEN = {
 
 
 @pytest.mark.parametrize("whose", TAKEN)
-def test_a_name_that_is_taken_is_refused(whose: str) -> None:
+def test_a_name_that_is_taken_is_refused(whose):
     for name in TAKEN[whose].split():
         with pytest.raises(ParameterError, match=re.escape(f"name = '{name}': is {whose}")):
             LEAD.to_c(name)

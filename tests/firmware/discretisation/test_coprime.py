@@ -7,7 +7,6 @@ from scipy import signal
 from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.coprime import sampled_factors
-from firmware_model.discretisation.rules import Rule
 from firmware_model.discretisation.tustin import RULES, zoh
 
 TICK_S = 0.004
@@ -33,7 +32,7 @@ SLOWEST = 0.7  # rad/s, below the real parts of the poles of UNSTABLE
 
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("name", UNSTABLE)
-def test_m_is_all_pass_in_z_and_n_is_m_times_the_sampled_plant(name: str, rule: Rule) -> None:
+def test_m_is_all_pass_in_z_and_n_is_m_times_the_sampled_plant(name, rule):
     plant = UNSTABLE[name]
     factors = sampled_factors((plant.g1, plant.g2), SLOWEST, rule, TICK_S)
     m = factors.denominator(Z)
@@ -50,7 +49,7 @@ def test_m_is_all_pass_in_z_and_n_is_m_times_the_sampled_plant(name: str, rule: 
 
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("name", ON_THE_AXIS)
-def test_a_plant_on_the_axis_is_heard_through_a_high_pass_filter(name: str, rule: Rule) -> None:
+def test_a_plant_on_the_axis_is_heard_through_a_high_pass_filter(name, rule):
     """That of the continuous M at frequencies far below the tick, its poles e^-λT within."""
     plant = ON_THE_AXIS[name]
     factors = sampled_factors((plant.g1, plant.g2), SLOWEST, rule, TICK_S)
@@ -70,7 +69,7 @@ def test_a_plant_on_the_axis_is_heard_through_a_high_pass_filter(name: str, rule
 
 
 @pytest.mark.parametrize("name", UNSTABLE | ON_THE_AXIS)
-def test_the_held_plant_is_scipys(name: str) -> None:
+def test_the_held_plant_is_scipys(name):
     plant = (UNSTABLE | ON_THE_AXIS)[name]
     factors = sampled_factors((plant.g1, plant.g2), SLOWEST, "zoh", TICK_S)
     a, b, c, *_ = signal.cont2discrete((plant.a, plant.b, plant.c, np.zeros((1, 2))), TICK_S)
@@ -79,7 +78,7 @@ def test_the_held_plant_is_scipys(name: str) -> None:
         assert n(Z) / factors.denominator(Z) == pytest.approx(response[:, channel], rel=1e-8)
 
 
-def test_of_a_stable_plant_nothing_changes() -> None:
+def test_of_a_stable_plant_nothing_changes():
     plant = steer_by_wire()
     for rule in RULES:
         factors = sampled_factors((plant.g1, plant.g2), SLOWEST, rule, TICK_S)
@@ -90,7 +89,7 @@ def test_of_a_stable_plant_nothing_changes() -> None:
 
 
 @pytest.mark.parametrize("poles", [(3.0,), (2.0, -5.0), (1.0, 40.0), (1 + 3j, 1 - 3j)])
-def test_an_unstable_filter_is_held_as_scipy_holds_it(poles: tuple[complex, ...]) -> None:
+def test_an_unstable_filter_is_held_as_scipy_holds_it(poles):
     """The gain is read off right of all poles: at the mean of their sizes one may be in the way."""
     g = ZeroPoleGain((), poles, 2.0)
     num, den, _ = signal.cont2discrete((g.numerator(), g.denominator()), TICK_S)

@@ -1,7 +1,5 @@
 """A filter alone: its answers, its figures, and what is refused."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -28,7 +26,7 @@ TICK_S = 1e-3
 @pytest.mark.parametrize(
     ("rule", "by"), [("tustin", tustin), ("tustin-held", tustin_held), ("zoh", zoh)]
 )
-def test_it_runs_the_sections_of_the_firmware(rule: Any, by: Any, precision: Any) -> None:
+def test_it_runs_the_sections_of_the_firmware(rule, by, precision):
     """Up to powers of two between the sections, which change no bit of an answer."""
     made = discretise(CAR.g1, TICK_S, rule, precision=precision)
     theirs = by(CAR.g1, TICK_S)
@@ -43,7 +41,7 @@ def test_it_runs_the_sections_of_the_firmware(rule: Any, by: Any, precision: Any
     assert made.run(u).dtype == precision
 
 
-def test_a_step_is_a_run_of_one_sample() -> None:
+def test_a_step_is_a_run_of_one_sample():
     stepped, run = discretise(BUTTERWORTH, TICK_S), discretise(BUTTERWORTH, TICK_S)
     u = np.random.default_rng(3).standard_normal(200)
     answers = run.run(u[:77])
@@ -51,7 +49,7 @@ def test_a_step_is_a_run_of_one_sample() -> None:
     assert [stepped.step(float(x)) for x in u] == answers.tolist()
 
 
-def test_float32_computes_in_float32() -> None:
+def test_float32_computes_in_float32():
     made = discretise(LOW_PASS, TICK_S, precision="float32")
     answer = made.step(1.0 / 3.0)
     assert answer == float(np.float32(answer))
@@ -59,7 +57,7 @@ def test_float32_computes_in_float32() -> None:
     assert made.in_precision("float64").step(1.0) == discretise(LOW_PASS, TICK_S).step(1.0)
 
 
-def test_reset_settles() -> None:
+def test_reset_settles():
     made = discretise(BUTTERWORTH, TICK_S)
     assert made.reset(2.0) == pytest.approx(2.0, rel=1e-12)
     np.testing.assert_allclose(made.run(np.full(50, 2.0)), 2.0, rtol=1e-12)
@@ -67,7 +65,7 @@ def test_reset_settles() -> None:
     assert not made.run(np.zeros(5)).any()
 
 
-def test_response_and_figures_are_scipys() -> None:
+def test_response_and_figures_are_scipys():
     made = discretise(BUTTERWORTH, TICK_S)
     omega = np.array([[0.0, 1.0], [300.0, 3000.0]])
     _, expected = signal.sosfreqz(made.to_scipy_sos(), omega.ravel() * TICK_S)
@@ -95,15 +93,13 @@ def test_response_and_figures_are_scipys() -> None:
         (([1.0], [1.0, -3.0]), -1.0 / 3.0, 1, False),
     ],
 )
-def test_what_is_special_at_zero_frequency(
-    system: Any, dc_gain: float, order: int, stable: bool
-) -> None:
+def test_what_is_special_at_zero_frequency(system, dc_gain, order, stable):
     made = discretise(system, 0.01)
     assert made.dc_gain == pytest.approx(dc_gain, rel=1e-12)
     assert (made.order, made.is_stable) == (order, stable)
 
 
-def test_it_says_what_it_is() -> None:
+def test_it_says_what_it_is():
     assert repr(discretise(LOW_PASS, TICK_S)) == (
         "<Filter of order 1, tustin, tick 0.001 s, float64: DC gain 1, largest |pole| 0.904762>"
     )
@@ -113,7 +109,7 @@ def test_it_says_what_it_is() -> None:
     )
 
 
-def test_a_slow_filter_of_high_order_fits_float32() -> None:
+def test_a_slow_filter_of_high_order_fits_float32():
     """The gain of 1e-53 is spread over the sections; in the first alone it would be zero."""
     system = signal.ZerosPolesGain(*signal.butter(12, 100.0, analog=True, output="zpk"))
     made = discretise(system, 1e-5, precision="float32")
@@ -125,7 +121,7 @@ def test_a_slow_filter_of_high_order_fits_float32() -> None:
         discretise(ZeroPoleGain((), (-1e-18,), 1e-36), 1e-25, precision="float32")
 
 
-def test_its_constants_can_only_be_read() -> None:
+def test_its_constants_can_only_be_read():
     made = discretise(LOW_PASS, TICK_S)
     with pytest.raises(ValueError, match="read-only"):
         made.cascade.n = 2
@@ -134,13 +130,13 @@ def test_its_constants_can_only_be_read() -> None:
     assert made.cascade.n == 1
 
 
-def test_a_tick_of_any_type_is_computed_with_in_float64() -> None:
+def test_a_tick_of_any_type_is_computed_with_in_float64():
     tick_s = np.float32(TICK_S)
     made, same = discretise(BUTTERWORTH, tick_s), discretise(BUTTERWORTH, float(tick_s))  # type: ignore[arg-type]
     assert np.array_equal(made.sections.coefficients, same.sections.coefficients)
 
 
-def test_the_smallest_normal_number_is_held() -> None:
+def test_the_smallest_normal_number_is_held():
     least = float(np.finfo(np.float32).tiny)
     rows = np.array([[least, 0.0, 0.0, 0.0, 0.0]])
     assert Filter(Sections(rows, TICK_S), "tustin", None, "float32").dc_gain == least
@@ -148,7 +144,7 @@ def test_the_smallest_normal_number_is_held() -> None:
         Filter(Sections(0.5 * rows, TICK_S), "tustin", None, "float32")
 
 
-def test_nothing_integrated_is_nothing() -> None:
+def test_nothing_integrated_is_nothing():
     rows = np.array([[0.0, 0.0, 0.0, -0.5, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0]])
     assert Filter(Sections(rows, TICK_S), "tustin", None, "float64").dc_gain == 0.0
 
@@ -162,7 +158,7 @@ SECOND = {
 
 @pytest.mark.parametrize("second", SECOND)
 @pytest.mark.parametrize("num", [[1e-12], [1.0, 0.0], [1e12, 0.0, 0.0]])
-def test_all_sections_have_gains_of_the_same_size(second: str, num: list[float]) -> None:
+def test_all_sections_have_gains_of_the_same_size(second, num):
     """The largest of each, on the circle from 1e-9 rad on, within a few powers of two."""
     den = np.polymul(np.polymul(SECOND[second], [1.0, 20.0, 1e6]), [1.0, 30.0, 9e4])
     made = discretise((num, den), TICK_S)
@@ -176,7 +172,7 @@ def test_all_sections_have_gains_of_the_same_size(second: str, num: list[float])
     assert max(peaks) / min(peaks) < 8.0
 
 
-def test_its_c_says_what_it_is() -> None:
+def test_its_c_says_what_it_is():
     made = discretise(BUTTERWORTH, TICK_S)
     first = made.to_c()["filter.h"].splitlines()[0]
     assert first == f"/* {str(made).removeprefix('<').removesuffix('>')}"
@@ -205,18 +201,18 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_what_cannot_be_is_refused_in_one_line(kind: str) -> None:
+def test_what_cannot_be_is_refused_in_one_line(kind):
     changed, message = REFUSED[kind]
     with pytest.raises(ParameterError, match=message) as caught:
         discretise(**{"system": LOW_PASS, "tick_s": TICK_S, **changed})
     assert "\n" not in str(caught.value)
 
 
-def test_public_names_are_offered_for_completion() -> None:
+def test_public_names_are_offered_for_completion():
     assert {*firmware_model.__all__, "__doc__"} <= {*dir(firmware_model)}
 
 
-def test_what_needs_its_future_is_refused() -> None:
+def test_what_needs_its_future_is_refused():
     with pytest.raises(ImproperError, match="must have at least as many poles"):
         discretise(([1.0, 0.0], [1.0]), TICK_S)
     with pytest.raises(ImproperError, match="use zoh or tustin"):
@@ -224,23 +220,23 @@ def test_what_needs_its_future_is_refused() -> None:
 
 
 @pytest.mark.parametrize("u", [1.0, [[1.0]], ["a"], [1j]])
-def test_a_run_takes_one_row_of_real_samples(u: Any) -> None:
+def test_a_run_takes_one_row_of_real_samples(u):
     with pytest.raises(ParameterError, match="must be one row of real samples"):
         discretise(LOW_PASS, TICK_S).run(u)
 
 
-def test_order_16_runs() -> None:
+def test_order_16_runs():
     system = ZeroPoleGain.lag(0.05, 16)
     answer = discretise(system, 0.01).run(np.ones(1000))
     assert answer[-1] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_another_precision_is_one_that_there_is() -> None:
+def test_another_precision_is_one_that_there_is():
     with pytest.raises(ParameterError, match="precision = 'half': must be float64 or float32"):
         discretise(LOW_PASS, TICK_S).in_precision("half")  # type: ignore[arg-type]
 
 
-def test_the_package_has_no_other_names() -> None:
+def test_the_package_has_no_other_names():
     assert firmware_model.discretise is discretise
     with pytest.raises(AttributeError, match="no attribute 'discretize'"):
         firmware_model.discretize

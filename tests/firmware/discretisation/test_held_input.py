@@ -1,7 +1,5 @@
 """A filter whose input is held: responses by scipy's zero-order hold, zeros by the response."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import signal
@@ -36,7 +34,7 @@ def held(g: ZeroPoleGain, tick_s: float) -> tuple[np.ndarray, ...]:
 
 @pytest.mark.parametrize("tick_s", [0.001, 0.05])
 @pytest.mark.parametrize("name", FILTERS)
-def test_the_response_is_that_of_a_zero_order_hold(name: str, tick_s: float) -> None:
+def test_the_response_is_that_of_a_zero_order_hold(name, tick_s):
     g = FILTERS[name]
     a, b, c = held(g, tick_s)
     z = np.exp(1j * np.array([0.01, 0.5, 2.0, 3.1]))
@@ -49,9 +47,7 @@ def test_the_response_is_that_of_a_zero_order_hold(name: str, tick_s: float) -> 
 @pytest.mark.parametrize("tick_s", [0.001, 0.05])
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("through", [0.0, 0.3])
-def test_zeros_are_as_many_as_poles_or_one_less_and_each_is_one(
-    name: str, tick_s: float, through: float
-) -> None:
+def test_zeros_are_as_many_as_poles_or_one_less_and_each_is_one(name, tick_s, through):
     """Without feedthrough the answer begins a sample later: one zero less."""
     g = FILTERS[name]
     system = sampled(g, tick_s)
@@ -64,7 +60,7 @@ def test_zeros_are_as_many_as_poles_or_one_less_and_each_is_one(
 
 
 @pytest.mark.parametrize("name", ["slow and fast", "three sections", "feedthrough in between"])
-def test_numbers_of_slow_and_fast_sections_are_of_one_size(name: str) -> None:
+def test_numbers_of_slow_and_fast_sections_are_of_one_size(name):
     """Eigenvalues need input and output matrices of equal size."""
     a, b, c = sampled(FILTERS[name], 0.001)
     assert np.abs(a).max() < 1.0
@@ -72,7 +68,7 @@ def test_numbers_of_slow_and_fast_sections_are_of_one_size(name: str) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_slow_filter_of_high_order_is_sampled_without_a_warning() -> None:
+def test_a_slow_filter_of_high_order_is_sampled_without_a_warning():
     """Its states differ by more than 2^63; the gain for a constant input is 1."""
     a, b, c = sampled(ZeroPoleGain((), (-1.0,) * 8, 1.0), 1e-6)
     assert (c @ np.linalg.solve(-a, b)).item() == pytest.approx(1.0)
@@ -90,9 +86,7 @@ def eulerian(order: int) -> list[int]:
 @pytest.mark.parametrize(
     ("order", "pole", "rtol"), [(3, 1e-4, 1e-3), (6, 1e-4, 1e-3), (12, 1.0, 0.06)]
 )
-def test_zeros_that_sampling_adds_are_those_of_euler_and_frobenius(
-    order: int, pole: float, rtol: float
-) -> None:
+def test_zeros_that_sampling_adds_are_those_of_euler_and_frobenius(order, pole, rtol):
     """Of lags that are slow beside the tick: almost of s to the power of -n, held.
 
     Of twelve, of which the response has two digits left, eigenvalues take one zero for infinite.

@@ -1,7 +1,5 @@
 """Any stable filter of order 1 to 12 at any tick, against theory in fifty digits and scipy."""
 
-from __future__ import annotations
-
 import math
 import warnings
 
@@ -25,7 +23,7 @@ SHARES = np.array([1e-5, 1e-3, 0.03, 0.2, 0.6, 0.95])  # of the Nyquist frequenc
 
 
 @pytest.mark.parametrize(("seed", "filters"), [A_FEW, *MANY])
-def test_tustin_is_within_its_bound_of_theory(seed: int, filters: int) -> None:
+def test_tustin_is_within_its_bound_of_theory(seed, filters):
     """From roots and from coefficients; the bound counts how often each number may be rounded."""
     rng = np.random.default_rng(seed)
     for _ in range(filters):
@@ -49,7 +47,7 @@ def test_tustin_is_within_its_bound_of_theory(seed: int, filters: int) -> None:
 
 
 @pytest.mark.parametrize(("seed", "filters"), [A_FEW, *MANY])
-def test_zoh_is_within_its_bound_of_theory(seed: int, filters: int) -> None:
+def test_zoh_is_within_its_bound_of_theory(seed, filters):
     rng = np.random.default_rng(seed)
     for _ in range(filters):
         g, tick_s = random_filter(rng)
@@ -59,7 +57,7 @@ def test_zoh_is_within_its_bound_of_theory(seed: int, filters: int) -> None:
         assert np.all(error <= 1e-9 * np.abs(theory) + testing.OF_ZOH * np.abs(theory).max()), g
 
 
-def test_a_zero_that_eigenvalues_take_for_infinite_is_found() -> None:
+def test_a_zero_that_eigenvalues_take_for_infinite_is_found():
     """Of this filter one of the 11 zeros of the zero-order hold lies at some -2,000."""
     rng = np.random.default_rng(4)
     g, tick_s = next(
@@ -75,7 +73,7 @@ def test_a_zero_that_eigenvalues_take_for_infinite_is_found() -> None:
 
 
 @pytest.mark.parametrize(("seed", "filters"), [A_FEW, *MANY])
-def test_a_run_is_scipys_sosfilt_of_the_same_sections(seed: int, filters: int) -> None:
+def test_a_run_is_scipys_sosfilt_of_the_same_sections(seed, filters):
     """Standard sections have fewer digits, so filters that are slow for their tick are left out."""
     rng = np.random.default_rng(seed)
     compared = 0
@@ -92,7 +90,7 @@ def test_a_run_is_scipys_sosfilt_of_the_same_sections(seed: int, filters: int) -
 
 
 @pytest.mark.parametrize(("seed", "filters"), [A_FEW, *MANY])
-def test_at_low_order_it_is_scipys_cont2discrete(seed: int, filters: int) -> None:
+def test_at_low_order_it_is_scipys_cont2discrete(seed, filters):
     """scipy works on state spaces of polynomials, which at order 5 have few digits left."""
     rng = np.random.default_rng(seed)
     compared = 0
@@ -116,7 +114,7 @@ def test_at_low_order_it_is_scipys_cont2discrete(seed: int, filters: int) -> Non
 
 @pytest.mark.compiled
 @pytest.mark.parametrize(("seed", "filters"), [A_FEW, *MANY])
-def test_every_assertion_of_the_testing_module_holds(seed: int, filters: int) -> None:
+def test_every_assertion_of_the_testing_module_holds(seed, filters):
     rng = np.random.default_rng(seed)
     for _ in range(filters // 4):
         g, tick_s = random_filter(rng, held=True)

@@ -1,7 +1,5 @@
 """Bounds of rounding, by their definitions written out and by runs of scipy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -30,7 +28,7 @@ def cancelled(*terms: complex) -> float:
     return sum(map(abs, terms)) / abs(sum(terms))
 
 
-def test_of_sections_each_polynomial_counts() -> None:
+def test_of_sections_each_polynomial_counts():
     rows = [[2.0, -3.0, 0.5, 1.5, -0.7], [0.0, 1.0, 0.0, 0.4, 0.0], [0.0, 0.0, 0.0, 0.1, 0.2]]
     x = 0.3 - 0.2j
     by_hand = (
@@ -42,13 +40,13 @@ def test_of_sections_each_polynomial_counts() -> None:
     np.testing.assert_allclose(found, by_hand, rtol=1e-14)
 
 
-def test_at_zero_what_a_section_of_first_order_has_twice_does_not_count() -> None:
+def test_at_zero_what_a_section_of_first_order_has_twice_does_not_count():
     """δ/δ has no value at zero, and stays out of the sum."""
     found = of_sections(Sections(np.array([[1.0, 2.0, 0.0, 3.0, 0.0]]), TICK_S), np.zeros(1) + 0j)
     assert found.tolist() == [2.0]
 
 
-def test_of_zeros_and_poles_each_distance_counts() -> None:
+def test_of_zeros_and_poles_each_distance_counts():
     zeros, poles = (-1.0 + 2.0j, -1.0 - 2.0j), (-3.0, -0.1, 0.5)
     found = of_system(ZeroPoleGain(zeros, poles, 7.0), POINTS)
     for s, value in zip(POINTS, found, strict=True):
@@ -57,13 +55,13 @@ def test_of_zeros_and_poles_each_distance_counts() -> None:
     assert of_system(ZeroPoleGain.constant(2.0), POINTS).tolist() == [1.0] * 3
 
 
-def test_of_polynomials_every_coefficient_is_rounded() -> None:
+def test_of_polynomials_every_coefficient_is_rounded():
     found = of_system(Polynomials(np.array([2.0, -1.0]), np.array([1.0, 0.5, 3.0])), POINTS)
     expected = [5 * (cancelled(2.0 * s, -1.0) + cancelled(s * s, 0.5 * s, 3.0)) for s in POINTS]
     np.testing.assert_allclose(found, expected, rtol=1e-14)
 
 
-def test_of_one_state_by_hand() -> None:
+def test_of_one_state_by_hand():
     """The worst of the points, at each of them."""
     a, b, c, d = -2.0, 2.0, 2.0, 5.0  # balanced already
     found = of_system(StateSpace(np.array([[a]]), np.array([[b]]), np.array([[c]]), d), POINTS)
@@ -88,7 +86,7 @@ def norms(system: StateSpace, s: complex) -> float:
     return float(n * (of(system.a) * of(r) + (bound + abs(system.d)) / answer))
 
 
-def test_of_states_in_whichever_units() -> None:
+def test_of_states_in_whichever_units():
     """Rows and columns of one size: balanced already; in other units they are so almost again."""
     a = np.array([[-1.0, 1.0, 0.0], [1.0, -3.0, 1.0], [0.0, 1.0, -2.0]])
     b, c = np.array([[1.0], [0.5], [0.0]]), np.array([[0.0, 1.0, 2.0]])
@@ -102,14 +100,14 @@ def test_of_states_in_whichever_units() -> None:
 
 
 @pytest.mark.parametrize("a", [[[-1.0, 0.0], [1.0, -3.0]], [[-1.0, 1.0], [0.0, -3.0]]])
-def test_states_stay_in_their_order(a: list[list[float]]) -> None:
+def test_states_stay_in_their_order(a):
     """Of a triangular matrix too, which balancing would reorder."""
     system = StateSpace(np.array(a), np.array([[1.0], [0.5]]), np.array([[0.3, 2.0]]), 0.0)
     expected = max(norms(system, s) for s in POINTS)
     np.testing.assert_allclose(of_system(system, POINTS), expected, rtol=1e-12)
 
 
-def test_of_no_states_and_of_a_sum_without_digits() -> None:
+def test_of_no_states_and_of_a_sum_without_digits():
     nothing = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), 2.0)
     assert of_system(nothing, POINTS).tolist() == [1.0, 1.0, 1.0]
     lost = StateSpace(np.array([[-1.0]]), np.array([[1.0]]), np.array([[1.0]]), -1.0)
@@ -136,7 +134,7 @@ def through(rows: NDArray[Any], u: NDArray[Any]) -> NDArray[Any]:
 
 @pytest.mark.parametrize("ticks", [1, 40])
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_a_run_is_off_by_what_each_operation_rounds(ticks: int, precision: Any) -> None:
+def test_a_run_is_off_by_what_each_operation_rounds(ticks, precision):
     """Three sections; signals and what becomes of errors are sums over impulse responses."""
     sections = np.array([
         [0.9, 0.2, 0.05, 0.5, 0.1], [0.0, 0.3, 0.0, 0.4, 0.0], [0.5, -0.6, 0.1, 0.9, 0.3],
@@ -163,19 +161,19 @@ def test_a_run_is_off_by_what_each_operation_rounds(ticks: int, precision: Any) 
     assert found == pytest.approx(ROUNDING[precision] * error, rel=1e-12)
 
 
-def test_a_rounding_is_half_of_the_last_digit() -> None:
+def test_a_rounding_is_half_of_the_last_digit():
     for precision in ("float64", "float32"):
         assert ROUNDING[precision] == np.finfo(precision).eps / 2
     made = Sections(np.array([[1.0, 0.0, 0.0, 0.5, 0.0]]), TICK_S)
     assert run_error(made, 5) == run_error(made, 5, "float32")
 
 
-def test_a_gain_is_rounded_once() -> None:
+def test_a_gain_is_rounded_once():
     found = of_held(ZeroPoleGain((), (), -3.0), TICK_S, np.array([1j, 2.0 + 0j]))
     np.testing.assert_array_equal(found, [3.0, 3.0])
 
 
-def test_a_zero_found_on_a_pole_has_no_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_zero_found_on_a_pole_has_no_bound(monkeypatch):
     """The exact place of a zero is a matter of the host's linear algebra."""
     monkeypatch.setattr(rounding, "zeros_of", lambda system, through, poles: poles)
     g = ZeroPoleGain((-3.0,), (-1.0,), 1.0)

@@ -1,7 +1,5 @@
 """Sections in δ: their response, and which roots go together."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np
@@ -18,7 +16,7 @@ OFF_THE_POLES = np.exp(1j * np.linspace(0.3, 3.0, 7)) * 1.37
 
 
 @given(st.lists(row, min_size=1, max_size=4))
-def test_the_response_is_the_product_of_the_fractions(rows: list[tuple[float, ...]]) -> None:
+def test_the_response_is_the_product_of_the_fractions(rows):
     """Whichever coefficients are zero: a factor δ/δ changes nothing where δ is not."""
     delta = OFF_THE_POLES - 1.0
     expected = np.ones_like(delta)
@@ -37,13 +35,11 @@ def test_the_response_is_the_product_of_the_fractions(rows: list[tuple[float, ..
         ((3.0, 1.0, 6.0, 5.0, 2.0), 3.0),  # second order: b2/a2
     ],
 )
-def test_at_rest_a_section_of_lower_order_is_no_0_by_0(
-    section: tuple[float, ...], expected: float
-) -> None:
+def test_at_rest_a_section_of_lower_order_is_no_0_by_0(section, expected):
     assert Sections(np.array([section]), 1e-3)(np.array([1.0]))[0] == expected
 
 
-def test_a_zero_goes_to_the_nearest_poles() -> None:
+def test_a_zero_goes_to_the_nearest_poles():
     """So that no section is much larger than the cascade. By hand: -9 lies at -8 and -10."""
     poles = (-1.0, -2.0, -8.0, -10.0)
     for zero, at in ((-9.0, 1), (-1.2, 0), (-6.0, 1)):
@@ -53,7 +49,7 @@ def test_a_zero_goes_to_the_nearest_poles() -> None:
         assert rows[1][3:].tolist() == [18.0, 80.0]
 
 
-def test_of_a_pair_and_a_single_pole_the_nearer_gets_the_zero() -> None:
+def test_of_a_pair_and_a_single_pole_the_nearer_gets_the_zero():
     """The middle of a pair counts, not its sum: -3 is nearer to -3.5 than to -6 ± j."""
     poles = (-6 + 1j, -6 - 1j, -3.5)
     rows = from_delta_zpk((-3.0,), poles, 1.0, 1e-3).coefficients
@@ -68,7 +64,7 @@ ZERO_OR_NOT = list(product([0.0, 0.25], repeat=4))
 
 
 @pytest.mark.parametrize("row", ZERO_OR_NOT)
-def test_standard_sections_are_the_same_fractions(row: tuple[float, ...]) -> None:
+def test_standard_sections_are_the_same_fractions(row):
     """In powers of 1/z, whichever coefficients are zero."""
     sections = Sections(np.array([[0.5, *row]]), 1e-3)
     sos = sections.sos[0]
@@ -81,7 +77,7 @@ def test_standard_sections_are_the_same_fractions(row: tuple[float, ...]) -> Non
 
 
 @pytest.mark.parametrize("row", ZERO_OR_NOT)
-def test_the_realisation_has_the_accumulators_that_leave_zero(row: tuple[float, ...]) -> None:
+def test_the_realisation_has_the_accumulators_that_leave_zero(row):
     """In a run of the firmware's cascade, of which this is the second section."""
     rows = np.array([[0.5, 0.3, 0.0, 0.2, 0.0], [0.5, *row]])
     cascade = zeroed(biquad.Constants, "float64")[0]

@@ -1,7 +1,5 @@
 """State spaces in factored form: their zeros, and the gain between zeros and poles."""
 
-from __future__ import annotations
-
 import cmath
 
 import numpy as np
@@ -28,9 +26,7 @@ def turned(system: StateSpace, seed: int) -> StateSpace:
     zeros=st.lists(stable, max_size=5),
     turn=st.integers(0, 2**32 - 1),
 )
-def test_a_state_space_keeps_its_zeros_in_any_coordinates(
-    poles: list[float], zeros: list[float], turn: int
-) -> None:
+def test_a_state_space_keeps_its_zeros_in_any_coordinates(poles, zeros, turn):
     zeros = zeros[: len(poles)]
     g = ZeroPoleGain(tuple(map(complex, zeros)), tuple(map(complex, poles)), 2.0)
     a, b, c, d = signal.zpk2ss(g.zeros, g.poles, g.gain)
@@ -44,7 +40,7 @@ def test_a_state_space_keeps_its_zeros_in_any_coordinates(
     assert np.all(error <= 1e-3 * np.abs(g(inside)).max())
 
 
-def test_a_state_space_without_states_or_without_a_way_through_is_a_constant() -> None:
+def test_a_state_space_without_states_or_without_a_way_through_is_a_constant():
     empty = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0))
     assert StateSpace(*empty, 2.5).zero_pole_gain() == ZeroPoleGain.constant(2.5)
     assert StateSpace(*empty, 2.5)(S) == pytest.approx(2.5)
@@ -55,7 +51,7 @@ def test_a_state_space_without_states_or_without_a_way_through_is_a_constant() -
     assert turned(hidden, 0)(np.array([1.0 + 1j])) != 0.0
 
 
-def test_a_zero_of_high_order_keeps_its_digits() -> None:
+def test_a_zero_of_high_order_keeps_its_digits():
     """Eigenvalues lose the digits of all zeros together, and the response keeps its digits."""
     g = ZeroPoleGain((-1.0,) * 5, (-2.0,) * 6, 2.0)
     a, b, c, d = signal.zpk2ss(g.zeros, g.poles, g.gain)
@@ -63,7 +59,7 @@ def test_a_zero_of_high_order_keeps_its_digits() -> None:
     np.testing.assert_allclose(found(S), g(S), rtol=1e-12)
 
 
-def test_zeros_far_apart_keep_their_digits() -> None:
+def test_zeros_far_apart_keep_their_digits():
     """In parallel form, by residues, where eigenvalues alone are wrong by 1e-4."""
     zeros = np.array([-1e-4, -2e-3, -3e-3, -70.0, -8e3, -9e4])
     poles = np.array([-1e-3, -0.02, -0.1, -3.0, -400.0, -2e4, -2e5])
@@ -90,9 +86,7 @@ def test_zeros_far_apart_keep_their_digits() -> None:
         ),
     ],
 )  # fmt: skip
-def test_a_state_space_is_the_fraction_worked_out_by_hand(
-    a: list[list[float]], b: list[float], c: list[float], num: list[float], den: list[float]
-) -> None:
+def test_a_state_space_is_the_fraction_worked_out_by_hand(a, b, c, num, den):
     system = StateSpace(np.array(a, float), np.array([b], float).T, np.array([c], float), 0.0)
     g = system.zero_pole_gain()
     assert (len(g.zeros), len(g.poles)) == (len(num) - 1, len(den) - 1)
@@ -100,7 +94,7 @@ def test_a_state_space_is_the_fraction_worked_out_by_hand(
     np.testing.assert_allclose(g.denominator(), den, rtol=1e-9, atol=1e-9)
 
 
-def test_the_distance_of_two_systems_is_that_of_their_responses() -> None:
+def test_the_distance_of_two_systems_is_that_of_their_responses():
     """1/(s (s + ½)) in states; points lie a radian from the real axis, at |s| = ½."""
     system = StateSpace(
         np.array([[0.0, 1.0], [0.0, -0.5]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]]), 0.0

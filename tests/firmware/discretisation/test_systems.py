@@ -1,7 +1,5 @@
 """Filters of other libraries: each is understood as its own library understands it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -33,7 +31,7 @@ SYSTEMS = {
 
 
 @pytest.mark.parametrize("kind", SYSTEMS)
-def test_every_kind_is_the_same_filter(kind: str) -> None:
+def test_every_kind_is_the_same_filter(kind):
     expected = np.polyval(NUM, S) / np.polyval(DEN, S)
     np.testing.assert_allclose(continuous(SYSTEMS[kind])(S), expected, rtol=1e-10)
     g = zero_pole_gain(SYSTEMS[kind])
@@ -42,7 +40,7 @@ def test_every_kind_is_the_same_filter(kind: str) -> None:
 
 
 @pytest.mark.parametrize("size", [1e-9, 1.0, 1e6])
-def test_conjugates_that_rounding_has_parted_are_a_pair(size: float) -> None:
+def test_conjugates_that_rounding_has_parted_are_a_pair(size):
     """Relative to their size; and a root at the origin is real."""
     pole = size * complex(-1.0, 2.0)
     near = pole.conjugate() * (1.0 + 1e-15)
@@ -126,14 +124,14 @@ REFUSED: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_what_is_no_such_filter_is_refused_in_one_line(kind: str) -> None:
+def test_what_is_no_such_filter_is_refused_in_one_line(kind):
     system, message = REFUSED[kind]
     with pytest.raises(ParameterError, match=message) as caught:
         zero_pole_gain(system)
     assert "\n" not in str(caught.value)
 
 
-def test_neither_library_is_imported_unless_the_caller_has() -> None:
+def test_neither_library_is_imported_unless_the_caller_has():
     code = (
         "import sys, firmware_model as m; assert 'numba' not in sys.modules, 'heavy root';"
         "m.discretise(([1.0], [1.0, 1.0]), 0.1).run([1.0]);"

@@ -1,7 +1,5 @@
 """From a design to the table, and everything a target refuses."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -11,7 +9,7 @@ from hypothesis import given, strategies as st
 
 from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
-from firmware_model.design.mismatch import TRUSTED, Mismatch
+from firmware_model.design.mismatch import TRUSTED
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
@@ -27,20 +25,20 @@ UNSTABLE = design(PENDULUM, DesignSpecification(alpha=2, tau_q_s=0.05, alpha_q=3
 
 
 @given(tau_s=st.floats(1e-4, 1.0), tick_s=st.floats(1e-4, 1e-2))
-def test_algebraic_loop_gain_is_that_of_the_text(tau_s: float, tick_s: float) -> None:
+def test_algebraic_loop_gain_is_that_of_the_text(tau_s, tick_s):
     """F̂ and Tustin's G2 together are q, so the gain is T/(2τ+T); 1/3 at T = τ."""
     filters = discretise(design(steer_by_wire(), DesignSpecification(tau_s=tau_s)), Target(tick_s))
     assert algebraic_loop_gain(filters, 0) == pytest.approx(tick_s / (2 * tau_s + tick_s), rel=1e-9)
 
 
 @pytest.mark.parametrize(("latency", "rule"), [(1, "tustin"), (0, "zoh"), (0, "tustin-held")])
-def test_no_loop_within_the_tick_when_the_command_acts_later(latency: int, rule: Any) -> None:
+def test_no_loop_within_the_tick_when_the_command_acts_later(latency, rule):
     target = Target(1e-3, latency, rule)
     assert algebraic_loop_gain(discretise(DESIGN, target), latency) == 0.0
     assert build(DESIGN, target).compensator.loop_inverse == 1.0
 
 
-def test_a_loop_gain_of_one_or_more_is_refused() -> None:
+def test_a_loop_gain_of_one_or_more_is_refused():
     """1 + Q with a high-frequency gain of 10 amplifies 1/3 to more than 1."""
     q = ZeroPoleGain((-10.0,), (-100.0,), 10.0).scaled(1.0)
     steep = design(steer_by_wire(), DesignSpecification(q=q))
@@ -49,7 +47,7 @@ def test_a_loop_gain_of_one_or_more_is_refused() -> None:
     build(steep, Target(1e-3, estimator="zoh"))
 
 
-def test_more_ticks_than_the_law_counts_are_refused() -> None:
+def test_more_ticks_than_the_law_counts_are_refused():
     """An echo counts for 0.1 s, 1,677,722 ticks of 60 ns."""
     target = Target(2.0**-24, 1, "zoh", echoes=(Reporting(IDEAL), Reporting(IDEAL)))
     with pytest.raises(DesignError, match=r"echoes\.longest is 1677722: must be from 0 to 1000000"):
@@ -58,7 +56,7 @@ def test_more_ticks_than_the_law_counts_are_refused() -> None:
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("designed", [DESIGN, UNSTABLE], ids=["stable", "unstable"])
-def test_the_table_is_the_filters(designed: ContinuousDesign, precision: Any) -> None:
+def test_the_table_is_the_filters(designed, precision):
     target = Target(1e-3, 2, "zoh", precision=precision, limit_1=10.0, lsb_2=0.5)
     table, filters = build(designed, target), discretise(designed, target)
     estimator = table.estimator
@@ -84,13 +82,13 @@ def test_the_table_is_the_filters(designed: ContinuousDesign, precision: Any) ->
     assert estimator.latency_ticks == 2
 
 
-def test_the_table_is_constant() -> None:
+def test_the_table_is_constant():
     with pytest.raises(ValueError, match="read-only"):
         build(DESIGN, Target(1e-3)).actuator_1.limit = 1.0
 
 
 @pytest.mark.parametrize("tick_s", [0.0, math.nan])
-def test_a_tick_that_is_no_tick_is_refused(tick_s: float) -> None:
+def test_a_tick_that_is_no_tick_is_refused(tick_s):
     with pytest.raises(ParameterError, match="tick_s"):
         build(DESIGN, Target(tick_s))
 
@@ -100,7 +98,7 @@ OTHERS = other_cars()
 
 
 @pytest.mark.parametrize("cars", [TRUSTED, OTHERS])
-def test_the_test_looks_as_long_as_it_learns_and_doubts_where_cars_differ(cars: Mismatch) -> None:
+def test_the_test_looks_as_long_as_it_learns_and_doubts_where_cars_differ(cars):
     table = build(CLOSED, Target(1e-3, mismatch=cars))
     test = table.sequential_test
     assert test.freshness == 0.1
@@ -112,9 +110,7 @@ def test_the_test_looks_as_long_as_it_learns_and_doubts_where_cars_differ(cars: 
 
 
 @pytest.mark.parametrize(("limit", "lsb", "possible"), [(10.3, 0.5, 10.0), (10.0, 0.1, 10.0)])
-def test_a_limit_is_what_the_frame_carries_within_it(
-    limit: float, lsb: float, possible: float
-) -> None:
+def test_a_limit_is_what_the_frame_carries_within_it(limit, lsb, possible):
     actuators = build(CLOSED, Target(1e-3, limit_2=limit, lsb_2=lsb))
     assert actuators.actuator_2.limit == pytest.approx(possible, rel=1e-15)
     assert actuators.actuator_1.limit == math.inf
@@ -130,7 +126,7 @@ def late(first_s: float = 0.0, second_s: float = 0.0, sensor_s: float = 0.0) -> 
 
 
 @pytest.mark.parametrize("latency", [0, 2])
-def test_the_way_of_a_command_is_bus_actuator_and_sensor(latency: int) -> None:
+def test_the_way_of_a_command_is_bus_actuator_and_sensor(latency):
     """In whole ticks: 3.4 + 1 ms are 4, 4.7 + 1 ms are 6."""
     estimator = build(late(0.0034, 0.0047, 0.001), Target(TICK_S, latency)).estimator
     assert (estimator.dead_ticks_1, estimator.dead_ticks_2) == (4, 6)
@@ -143,8 +139,8 @@ def test_the_way_of_a_command_is_bus_actuator_and_sensor(latency: int) -> None:
     [(0.0, 0.0, True, True), (0.002, 0.0, False, True), (0.0, 0.002, True, False)],
 )
 def test_a_command_in_its_dead_time_does_not_act_within_the_tick(
-    first_s: float, second_s: float, within_1: bool, within_2: bool
-) -> None:
+    first_s, second_s, within_1, within_2
+):
     """Then neither Q G1 of u1 nor F̂ (1 + Q) G2 of u2 is a loop without delay."""
     plan = late(first_s, second_s)
     table, filters = build(plan, Target(TICK_S)), discretise(plan, Target(TICK_S))
@@ -160,7 +156,7 @@ def test_a_command_in_its_dead_time_does_not_act_within_the_tick(
 
 
 @pytest.mark.parametrize("channel", [1, 2])
-def test_a_dead_time_is_as_long_as_the_ring_at_most(channel: int) -> None:
+def test_a_dead_time_is_as_long_as_the_ring_at_most(channel):
     def dead(ticks: int) -> ContinuousDesign:
         return late(*(TICK_S * ticks if each == channel else 0.0 for each in (1, 2)))
 
@@ -203,20 +199,20 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize("change", ACCEPTED, ids=str)
-def test_the_last_value_that_means_something_is_accepted(change: dict[str, Any]) -> None:
+def test_the_last_value_that_means_something_is_accepted(change):
     target = Target(1e-3, **change)
     assert {name: getattr(target, name) for name in change} == change
 
 
 @pytest.mark.parametrize(("change", "reason"), REFUSED, ids=str)
-def test_the_first_that_does_not_is_refused(change: dict[str, Any], reason: str) -> None:
+def test_the_first_that_does_not_is_refused(change, reason):
     with pytest.raises(ParameterError) as caught:
         Target(1e-3, **change)
     assert reason in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_by_default_it_is_the_thesis_s() -> None:
+def test_by_default_it_is_the_thesis_s():
     """No latency, no limits, no grid: d̂ is compensated as it is, always."""
     target = Target(1e-3)
     assert (target.latency_ticks, target.estimator) == (0, "tustin")

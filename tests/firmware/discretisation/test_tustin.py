@@ -1,7 +1,5 @@
 """Discretisation: identities of each rule, and independent computations of each."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 
@@ -46,7 +44,7 @@ def _on_circle(tick_s: float, n: int = 60) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("omega", [1.0, 17.7, 300.0])
-def test_prewarp_keeps_one_frequency_exactly(omega: float) -> None:
+def test_prewarp_keeps_one_frequency_exactly(omega):
     g, tick_s = FILTERS["G1 of the car"], 5e-3
     sections = tustin(g, tick_s, prewarp_rad_per_s=omega)
     answer = sections(np.exp(np.array([1j * omega * tick_s])))[0]
@@ -56,7 +54,7 @@ def test_prewarp_keeps_one_frequency_exactly(omega: float) -> None:
 @pytest.mark.parametrize("rule", [tustin, tustin_held, zoh])
 @pytest.mark.parametrize("tick_s", TICKS_S)
 @pytest.mark.parametrize("name", STRICTLY_PROPER)
-def test_dc_gain_and_stability_carry_over(name: str, tick_s: float, rule: Rule) -> None:
+def test_dc_gain_and_stability_carry_over(name, tick_s, rule):
     g = STRICTLY_PROPER[name]
     sections = rule(g, tick_s)
     assert sections(np.array([1.0 + 0j]))[0].real == pytest.approx(g.dc_gain, rel=1e-12)
@@ -84,7 +82,7 @@ def _exact_zoh(g: ZeroPoleGain, tick_s: float, z: complex) -> complex:
 
 @pytest.mark.parametrize("tick_s", TICKS_S)
 @pytest.mark.parametrize("name", FILTERS)
-def test_zoh_equals_the_residues_in_fifty_digits(name: str, tick_s: float) -> None:
+def test_zoh_equals_the_residues_in_fifty_digits(name, tick_s):
     g = FILTERS[name]
     _, z = _on_circle(tick_s, 12)
     exact = np.array([_exact_zoh(g, tick_s, point) for point in z])
@@ -93,7 +91,7 @@ def test_zoh_equals_the_residues_in_fifty_digits(name: str, tick_s: float) -> No
 
 
 @pytest.mark.parametrize("name", STRICTLY_PROPER)
-def test_tustin_held_is_crank_nicolson_with_one_input_an_interval(name: str) -> None:
+def test_tustin_held_is_crank_nicolson_with_one_input_an_interval(name):
     g, tick_s = STRICTLY_PROPER[name], 5e-3
     a, b, c, _ = signal.zpk2ss(g.zeros, g.poles, g.gain)
     half = a * tick_s / 2.0
@@ -105,11 +103,11 @@ def test_tustin_held_is_crank_nicolson_with_one_input_an_interval(name: str) -> 
 
 
 @pytest.mark.parametrize("rule", [tustin_held, zoh])
-def test_a_held_input_passes_with_one_tick_of_delay(rule: Rule) -> None:
+def test_a_held_input_passes_with_one_tick_of_delay(rule):
     assert rule(FILTERS["G2 of the car"], 1e-3).feedthrough == 0.0
 
 
-def test_zoh_of_integrators_and_growth_equals_the_textbook() -> None:
+def test_zoh_of_integrators_and_growth_equals_the_textbook():
     """Partial fractions, each held: k/s is kT/(z-1), k/(s+a) is k/a (1 - e^{-aT})/(z - e^{-aT})."""
     tick_s, z = 0.01, np.array([1.3 + 0.2j, -0.7 + 0.9j])
     lag = (1.0 - math.exp(-2.0 * tick_s)) / (z - math.exp(-2.0 * tick_s))
@@ -130,12 +128,12 @@ def test_zoh_of_integrators_and_growth_equals_the_textbook() -> None:
 
 
 @pytest.mark.parametrize("rule", [tustin, tustin_held, zoh])
-def test_nothing_becomes_nothing(rule: Rule) -> None:
+def test_nothing_becomes_nothing(rule):
     assert rule(ZeroPoleGain.constant(0.0), 1e-3)(np.array([0.3 + 1j])) == 0.0
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_order_of_convergence(order: int) -> None:
+def test_order_of_convergence(order):
     """Tustin of a smooth input is of order 2 in the tick, a held input of order 1."""
     g = ZeroPoleGain.lag(0.2, order)
     omega = 3.0
@@ -157,37 +155,37 @@ def test_order_of_convergence(order: int) -> None:
 
 @pytest.mark.parametrize("tick_s", [0.0, -1e-3, math.nan, math.inf])
 @pytest.mark.parametrize("rule", [tustin, tustin_held, zoh])
-def test_a_tick_that_is_no_tick_is_refused(rule: Rule, tick_s: float) -> None:
+def test_a_tick_that_is_no_tick_is_refused(rule, tick_s):
     with pytest.raises(ParameterError, match="tick_s"):
         rule(FILTERS["G1 of the car"], tick_s)
 
 
 @pytest.mark.parametrize("omega", [0.0, -1.0, math.pi / 1e-3, math.nan])
-def test_a_prewarp_beyond_nyquist_is_refused(omega: float) -> None:
+def test_a_prewarp_beyond_nyquist_is_refused(omega):
     with pytest.raises(ParameterError, match="Nyquist"):
         tustin(FILTERS["G1 of the car"], 1e-3, prewarp_rad_per_s=omega)
 
 
-def test_an_improper_filter_is_refused() -> None:
+def test_an_improper_filter_is_refused():
     with pytest.raises(ImproperError, match="improper"):
         zoh(FILTERS["G1 of the car"].inverse(), 1e-3)
     with pytest.raises(ImproperError, match="future"):
         from_delta_zpk([-0.1, -0.2], [-0.3], 1.0, 1e-3)
 
 
-def test_a_pole_on_the_image_of_infinity_is_refused() -> None:
+def test_a_pole_on_the_image_of_infinity_is_refused():
     with pytest.raises(ParameterError, match="infinity"):
         tustin(ZeroPoleGain((), (2000.0,), 1.0), 1e-3)
 
 
-def test_sections_are_read_only() -> None:
+def test_sections_are_read_only():
     sections = tustin(FILTERS["G1 of the car"], 1e-3)
     assert isinstance(sections, Sections)
     with pytest.raises(ValueError, match="read-only"):
         sections.coefficients[0, 0] = 1.0
 
 
-def test_float32_keeps_the_dc_gain() -> None:
+def test_float32_keeps_the_dc_gain():
     """The expanded polynomial loses it, standard sections keep +0.075 %; these
     keep it to float32 rounding."""
     g, tick_s = FILTERS["G1 of the car"], 1e-3
@@ -200,7 +198,7 @@ def test_float32_keeps_the_dc_gain() -> None:
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("tick_s", [1e-3, 1e-7])
-def test_a_pole_that_is_slow_for_the_tick_keeps_its_digits(order: int, tick_s: float) -> None:
+def test_a_pole_that_is_slow_for_the_tick_keeps_its_digits(order, tick_s):
     """Poles of 1e-3 rad/s: δ = e^{pT} - 1 is 1e-10 and less, where 1 - e^{pT} has lost 6 digits."""
     poles = [mpmath.mpc(-1e-3, w) for w in ((0.0,) if order == 1 else (2e-3, -2e-3))]
     g = ZeroPoleGain((), tuple(complex(pole) for pole in poles), 1.0)

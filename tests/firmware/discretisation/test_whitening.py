@@ -1,7 +1,5 @@
 """The whitener's design: spectrum, energy and delay against independent computations."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -22,9 +20,7 @@ G1 = zoh(CAR.g1, TICK_S)
 @given(
     st.floats(1e-4, 1.0), st.floats(0.0, 0.99), st.floats(0.0, 0.1), st.floats(1e-3, 10.0)
 )  # fmt: skip
-def test_the_spectrum_behind_the_whitener_is_flat(
-    noise: float, pole: float, resolution: float, disturbance: float
-) -> None:
+def test_the_spectrum_behind_the_whitener_is_flat(noise, pole, resolution, disturbance):
     """|W|² Φ = S at every frequency, with Φ of the noise, the rounding and the random walk."""
     target = Target(
         TICK_S, noise_rms=noise, noise_pole=pole, resolution=resolution, disturbance=disturbance
@@ -42,7 +38,7 @@ def test_the_spectrum_behind_the_whitener_is_flat(
 
 
 @pytest.mark.parametrize("noise_pole", [0.0, 0.5])
-def test_a_disturbance_that_noise_hides_leaves_the_whitener_of_the_noise(noise_pole: float) -> None:
+def test_a_disturbance_that_noise_hides_leaves_the_whitener_of_the_noise(noise_pole):
     """Below a hundred-thousandth of the noise's white part in a tick; both sides have its size."""
     least = 1e-5 * 1000.0 * math.sqrt((1.0 - noise_pole**2) / TICK_S)
     noise = {"noise_rms": 1000.0, "noise_pole": noise_pole}
@@ -56,7 +52,7 @@ def test_a_disturbance_that_noise_hides_leaves_the_whitener_of_the_noise(noise_p
 
 
 @pytest.mark.parametrize("disturbance", [1e-3, 0.02, 1.0])
-def test_a_perfect_sensor_does_not_know_a_disturbed_plant_perfectly(disturbance: float) -> None:
+def test_a_perfect_sensor_does_not_know_a_disturbed_plant_perfectly(disturbance):
     """The white part of D* has a twentieth of the disturbance at least, by whatever noise."""
     alone = whitening(G1, Target(TICK_S, disturbance=disturbance))
     fine = whitening(G1, Target(TICK_S, disturbance=disturbance, noise_rms=0.01 * disturbance))
@@ -65,27 +61,27 @@ def test_a_perfect_sensor_does_not_know_a_disturbed_plant_perfectly(disturbance:
     np.testing.assert_allclose(fine.sections.coefficients, alone.sections.coefficients, rtol=1e-6)
 
 
-def test_white_noise_needs_no_whitener() -> None:
+def test_white_noise_needs_no_whitener():
     found = whitening(G1, Target(TICK_S, noise_rms=0.02, resolution=0.3))
     assert found.sections.coefficients.size == 0
     assert found.variance == pytest.approx(0.02**2 + 0.3**2 / 12.0)
 
 
-def test_coloured_noise_alone_leaves_its_own_white_part() -> None:
+def test_coloured_noise_alone_leaves_its_own_white_part():
     found = whitening(G1, Target(TICK_S, noise_rms=0.02, noise_pole=0.7))
     z = np.exp(1j * np.array([0.01, 1.0, 3.0]))
     np.testing.assert_allclose(found.sections(z), 1.0 - 0.7 / z, rtol=1e-9)
     assert found.variance == pytest.approx(0.02**2 * (1.0 - 0.7**2))
 
 
-def test_the_energy_is_that_of_the_step_response() -> None:
+def test_the_energy_is_that_of_the_step_response():
     found = whitening(G1, Target(TICK_S, noise_rms=0.02, noise_pole=0.3, disturbance=0.5))
     answer = signal.sosfilt(found.sections.sos, np.ones(300))
     assert found.energy(300) == pytest.approx(float(answer @ answer))
     assert answer[-1] == pytest.approx(0.0, abs=1e-2)  # a steady disturbance leaves nothing
 
 
-def test_the_delay_is_the_mean_time_of_the_impulse_response() -> None:
+def test_the_delay_is_the_mean_time_of_the_impulse_response():
     pulse = np.zeros(20_000)
     pulse[0] = 1.0
     answer = signal.sosfilt(G1.sos, pulse)
@@ -94,5 +90,5 @@ def test_the_delay_is_the_mean_time_of_the_impulse_response() -> None:
 
 
 @pytest.mark.parametrize("row", [[1.0, 0.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.1, 0.0]])
-def test_without_a_gain_at_rest_there_is_no_delay(row: list[float]) -> None:
+def test_without_a_gain_at_rest_there_is_no_delay(row):
     assert mean_delay(Sections(np.array([row]), TICK_S)) == 0.0

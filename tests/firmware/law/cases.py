@@ -1,7 +1,5 @@
 """Cars, targets and tables that several of these tests look at."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

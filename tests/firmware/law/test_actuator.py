@@ -1,7 +1,5 @@
 """What an actuator makes of a command: magnitude, rate and resolution, against numpy's clip."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -27,11 +25,11 @@ def at_rest() -> Any:
 
 
 @given(some, size)
-def test_a_command_is_clipped_at_both_limits(command: float, limit: float) -> None:
+def test_a_command_is_clipped_at_both_limits(command, limit):
     assert saturate(actuator(limit), command) == np.clip(command, -limit, limit)
 
 
-def test_each_end_of_the_rate_and_of_the_limit() -> None:
+def test_each_end_of_the_rate_and_of_the_limit():
     """Limits are applied by hand: no limit hides a second limit."""
     motor = actuator(limit=10.0, slew=3.0)
     for command, previous, expected in (
@@ -42,14 +40,14 @@ def test_each_end_of_the_rate_and_of_the_limit() -> None:
 
 
 @given(some, st.sampled_from([1e-3, 0.25, 2.0]))
-def test_a_command_is_the_nearest_multiple_of_its_resolution(command: float, lsb: float) -> None:
+def test_a_command_is_the_nearest_multiple_of_its_resolution(command, lsb):
     rounded = quantise(actuator(lsb=lsb), at_rest(), command)
     assert abs(rounded - command) <= lsb / 2 * (1 + 1e-9)
     assert rounded / lsb == pytest.approx(round(rounded / lsb), abs=1e-6)
 
 
 @given(st.lists(some, min_size=1, max_size=50), st.sampled_from([1e-3, 0.25, 2.0]))
-def test_all_commands_together_are_rounded_once(commands: list[float], lsb: float) -> None:
+def test_all_commands_together_are_rounded_once(commands, lsb):
     """First-order noise shaping: by half a step for the sum of all, not for each of them."""
     motor, state = actuator(lsb=lsb), at_rest()
     rounded = [quantise(motor, state, command) for command in commands]
@@ -60,7 +58,7 @@ def test_all_commands_together_are_rounded_once(commands: list[float], lsb: floa
 
 
 @pytest.mark.parametrize("command", [0.1, -0.3, 0.499, 1.3])
-def test_a_command_between_two_steps_is_their_mean(command: float) -> None:
+def test_a_command_between_two_steps_is_their_mean(command):
     motor, state = actuator(lsb=1.0), at_rest()
     rounded = [quantise(motor, state, command) for _ in range(1000)]
     assert np.mean(rounded) == pytest.approx(command, abs=0.5 / 1000)
@@ -68,9 +66,7 @@ def test_a_command_between_two_steps_is_their_mean(command: float) -> None:
 
 
 @given(st.lists(some, min_size=1, max_size=50), st.sampled_from([0.25, 1.0]), st.integers(1, 40))
-def test_what_is_left_takes_no_command_beyond_its_limit(
-    commands: list[float], lsb: float, steps: int
-) -> None:
+def test_what_is_left_takes_no_command_beyond_its_limit(commands, lsb, steps):
     """Nor does it pile up there: a command that leaves the limit finds half a step at most."""
     limit = steps * lsb
     motor, state = actuator(limit, lsb=lsb), at_rest()
@@ -80,7 +76,7 @@ def test_what_is_left_takes_no_command_beyond_its_limit(
         assert abs(state.rounded_off) <= lsb / 2
 
 
-def test_a_product_in_single_precision_is_not_beyond_the_limit() -> None:
+def test_a_product_in_single_precision_is_not_beyond_the_limit():
     """400 000 steps of 0.001 are 400.00003 there."""
     motor = zeroed(Constants, "float32")[0]
     motor.limit, motor.slew, motor.lsb = 400.0, math.inf, 1e-3
@@ -91,13 +87,13 @@ def test_a_product_in_single_precision_is_not_beyond_the_limit() -> None:
 
 
 @pytest.mark.parametrize("command", [math.inf, math.nan])
-def test_what_overflowed_leaves_nothing(command: float) -> None:
+def test_what_overflowed_leaves_nothing(command):
     motor, state = actuator(lsb=0.5), at_rest()
     quantise(motor, state, 0.2)
     quantise(motor, state, command)
     assert state.rounded_off == 0.0
 
 
-def test_without_a_resolution_a_command_stays_as_it_is() -> None:
+def test_without_a_resolution_a_command_stays_as_it_is():
     assert quantise(actuator(), at_rest(), 0.123456789) == 0.123456789
     assert quantise(actuator(lsb=1e-3), at_rest(), 0.0125) == 0.012  # ties go to even

@@ -1,7 +1,5 @@
 """The filters that run, against scipy's, and their settled states."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,7 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tustin import tustin, zoh
 from firmware_model.law.core.biquad import Constants, advance, at_rest, output, settle
-from firmware_model.law.structs import MAX_SECTIONS, Precision, zeroed
+from firmware_model.law.structs import MAX_SECTIONS, zeroed
 
 CAR = steer_by_wire()
 FILTERS = {
@@ -39,7 +37,7 @@ def run(sections: Sections, inputs: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", FILTERS)
-def test_equals_scipys_second_order_sections(name: str) -> None:
+def test_equals_scipys_second_order_sections(name):
     inputs = np.random.default_rng(1).standard_normal(4000)
     expected = signal.sosfilt(FILTERS[name].sos, inputs)
     np.testing.assert_allclose(
@@ -48,7 +46,7 @@ def test_equals_scipys_second_order_sections(name: str) -> None:
 
 
 @given(inputs=st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=30), factor=st.floats(-8.0, 8.0))
-def test_is_linear(inputs: list[float], factor: float) -> None:
+def test_is_linear(inputs, factor):
     sections, u = FILTERS["G2"], np.array(inputs)
     scale = 1e-12 * (1.0 + np.abs(u).max())
     np.testing.assert_allclose(
@@ -57,7 +55,7 @@ def test_is_linear(inputs: list[float], factor: float) -> None:
 
 
 @pytest.mark.parametrize("name", FILTERS)
-def test_output_is_what_advance_answers_and_moves_nothing(name: str) -> None:
+def test_output_is_what_advance_answers_and_moves_nothing(name):
     cascade, state = cascade_of(FILTERS[name].coefficients), at_rest()
     before = np.random.default_rng(2).standard_normal(state.accumulators.shape)
     state.accumulators[:] = before
@@ -67,7 +65,7 @@ def test_output_is_what_advance_answers_and_moves_nothing(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FILTERS)
-def test_settle_is_where_a_constant_input_leads(name: str) -> None:
+def test_settle_is_where_a_constant_input_leads(name):
     sections = FILTERS[name]
     cascade, state = cascade_of(sections.coefficients), at_rest()
     settled = settle(cascade, state, 3.0)
@@ -78,13 +76,13 @@ def test_settle_is_where_a_constant_input_leads(name: str) -> None:
     assert settled == pytest.approx(3.0 * dc_gain, rel=1e-9)
 
 
-def test_settle_leaves_an_integrator_at_rest() -> None:
+def test_settle_leaves_an_integrator_at_rest():
     cascade, state = cascade_of(np.array([[0.2, 0.1, 0.0, 0.0, 0.0]])), at_rest()
     assert settle(cascade, state, 0.0) == 0.0
     np.testing.assert_array_equal(state.accumulators, 0.0)
 
 
 @pytest.mark.parametrize(("precision", "size"), [("float64", 8), ("float32", 4)])
-def test_a_section_needs_two_numbers_of_memory(precision: Precision, size: int) -> None:
+def test_a_section_needs_two_numbers_of_memory(precision, size):
     assert at_rest(precision).nbytes == MAX_SECTIONS * 2 * size
     assert not at_rest(precision).accumulators.any()

@@ -1,8 +1,5 @@
 """The same bits compiled and interpreted, in both precisions, through every part of the law."""
 
-from __future__ import annotations
-
-import itertools
 import math
 from typing import Any
 
@@ -62,11 +59,12 @@ def records(name: str, precision: Any) -> list[bytes]:
     return after
 
 
-CASES = list(itertools.product(TARGETS, ["float64", "float32"]))
+CASES = [("thesis", "float64"), ("coloured noise", "float32"), ("all", "float64"),
+         ("all", "float32")]  # fmt: skip
 
 
 @pytest.mark.compiled
-def test_compiled_and_interpreted_states_are_bit_identical() -> None:
+def test_compiled_and_interpreted_states_are_bit_identical():
     outputs = lines_compiled_and_interpreted(__file__)
     compiled, interpreted = outputs
     assert len(compiled) == len(interpreted) == len(CASES) * TICKS
@@ -85,7 +83,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_a_number_takes_the_precision_of_the_table(kind: type[np.floating]) -> None:
+def test_a_number_takes_the_precision_of_the_table(kind):
     third = real(1.0 / 3.0, kind(7.0))
     assert third == kind(1.0 / 3.0)
     assert np.asarray(third * kind(1.0)).dtype == kind

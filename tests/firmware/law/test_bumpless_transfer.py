@@ -1,7 +1,5 @@
 """What was missed is made up smoothly, whole and in about the time that it took to be noticed."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -42,7 +40,7 @@ sizes = st.floats(-1.0, 1.0).filter(lambda value: abs(value) > 1e-9)
 
 @pytest.mark.compiled
 @given(missed=st.floats(1e-6, 1.0), ticks=st.integers(4, 40))
-def test_of_a_square_of_time_hardly_more_is_missed(missed: float, ticks: int) -> None:
+def test_of_a_square_of_time_hardly_more_is_missed(missed, ticks):
     """Speed 2/n, pace 4/n: max of (1 + 6x) exp(-4x) at x = 1/12, 3/2 exp(-1/3) = 1.075."""
     _, state = begun(missed, 2.0 * missed / ticks)
     left = [-transfer(state, 0.0) for _ in range(4 * ticks)]
@@ -54,9 +52,7 @@ def test_of_a_square_of_time_hardly_more_is_missed(missed: float, ticks: int) ->
 @given(missed=sizes, speed=sizes, carried=sizes, earlier=sizes)
 @example(missed=1.0, speed=0.5, carried=0.0, earlier=0.0)
 @example(missed=0.5, speed=0.0, carried=0.0, earlier=0.0)  # settled: the pace of the car
-def test_what_is_carried_already_is_not_missed(
-    missed: float, speed: float, carried: float, earlier: float
-) -> None:
+def test_what_is_carried_already_is_not_missed(missed, speed, carried, earlier):
     """A critically damped motion, m'' + 2λm' + λ²m = 0 in k: (m0 + (m0' + λ m0) k) exp(-λk).
 
     F̂'s input goes on from its value and its speed, here ``carried`` after ``earlier``.
@@ -75,14 +71,14 @@ def test_what_is_carried_already_is_not_missed(
     np.testing.assert_allclose(left, expected, rtol=1e-6, atol=1e-9)
 
 
-def test_a_transfer_ends_where_nothing_is_missed() -> None:
+def test_a_transfer_ends_where_nothing_is_missed():
     table, state = begun(0.5, 0.03)
     transfer(state, 0.6)
     begin_transfer(table.bumpless_transfer, state, float(state.carried), 0.2)
     assert [transfer(state, lost) for lost in (0.3, 0.4)] == [0.3, 0.4]
 
 
-def test_where_nothing_was_missed_all_is_carried_at_once() -> None:
+def test_where_nothing_was_missed_all_is_carried_at_once():
     for missed, speed in ((0.0, 0.3), (5e-324, 1e300)):
         _, state = begun(missed, speed)
         assert [transfer(state, value) for value in (0.3, 0.4, -1.0)] == [0.3, 0.4, -1.0]
@@ -91,9 +87,7 @@ def test_where_nothing_was_missed_all_is_carried_at_once() -> None:
 @pytest.mark.compiled
 @pytest.mark.parametrize("noise_rms", [0.0, 1e-3])
 @pytest.mark.parametrize("period", [1300, 1900, 2600])
-def test_a_loose_connection_asks_for_no_more_than_the_load_in_a_tick(
-    noise_rms: float, period: int
-) -> None:
+def test_a_loose_connection_asks_for_no_more_than_the_load_in_a_tick(noise_rms, period):
     """Lost again while the last loss is released: 18 times the load, were F̂ to jump to it."""
     left = np.ones((12_000, 2))
     left[6000:, 0] = (np.arange(6000) // (period // 2)) % 2
@@ -107,7 +101,7 @@ def test_a_loose_connection_asks_for_no_more_than_the_load_in_a_tick(
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("after", [20, 28, 40, 48, 64, 100])
-def test_a_loss_that_comes_back_while_the_last_is_released_makes_no_bump(after: int) -> None:
+def test_a_loss_that_comes_back_while_the_last_is_released_makes_no_bump(after):
     """The new share belongs to the new loss alone: no false return follows."""
     table = build(DESIGN, late(1e-3))
     plant, left = sample(CAR, TICK_S), np.ones((2500, 2))
@@ -125,9 +119,7 @@ def test_a_loss_that_comes_back_while_the_last_is_released_makes_no_bump(after: 
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("noise_rms", [1e-4, 1e-3, 5e-3])
-def test_compensation_that_engages_late_needs_no_more_than_the_load_and_makes_up_all(
-    noise_rms: float,
-) -> None:
+def test_compensation_that_engages_late_needs_no_more_than_the_load_and_makes_up_all(noise_rms):
     """Given w as it is, F̂ would ask for w/(g T²): 2e4 N after 15 ticks, and as much back."""
     left = np.ones((2500, 2))
     left[LOST:, 0] = 0.0
@@ -142,7 +134,7 @@ def test_compensation_that_engages_late_needs_no_more_than_the_load_and_makes_up
     assert np.abs(trace.error[-100:]).max() < 2e-3
 
 
-def test_a_transfer_that_was_released_is_forgotten() -> None:
+def test_a_transfer_that_was_released_is_forgotten():
     """The next transfer begins at zero, not at the end of the last transfer."""
     table, state = begun(0.2, 0.01)
     _, fresh = begun(0.5, 0.03)

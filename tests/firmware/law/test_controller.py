@@ -1,7 +1,5 @@
 """The control law as it runs: identities, saturation, bad input, reset, order of convergence."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -31,7 +29,7 @@ def _drive(firmware: Firmware, reference: np.ndarray, y: np.ndarray) -> np.ndarr
 
 
 @pytest.mark.compiled
-def test_is_the_law_of_its_own_filters() -> None:
+def test_is_the_law_of_its_own_filters():
     """u1 = C(r - y), Tustin's; u2 = F̂ d̂ and d̂ = G1 u1 + G2 u2 - y, both at once, by scipy."""
     tick_s, n = 1e-3, 400
     rng = np.random.default_rng(3)
@@ -55,7 +53,7 @@ def test_is_the_law_of_its_own_filters() -> None:
 @pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1, 3])
 @pytest.mark.parametrize("rule", ["tustin", "tustin-held", "zoh"])
-def test_estimator_works_on_the_commands_as_the_plant_gets_them(rule: str, latency: int) -> None:
+def test_estimator_works_on_the_commands_as_the_plant_gets_them(rule, latency):
     """Limited, rounded and late: d̂ + y is F1 of exactly those commands."""
     target = Target(
         1e-3,
@@ -84,7 +82,7 @@ def test_estimator_works_on_the_commands_as_the_plant_gets_them(rule: str, laten
 @pytest.mark.compiled
 @pytest.mark.parametrize("variant", ["physics", "published"])
 @pytest.mark.parametrize("latency", [0, 1, 2, 5])
-def test_exact_estimator_is_silent_while_healthy(variant: str, latency: int) -> None:
+def test_exact_estimator_is_silent_while_healthy(variant, latency):
     """d̂ is zero to rounding for any reference and any latency."""
     plant = steer_by_wire(variant=variant)  # type: ignore[arg-type]
     slow = DesignSpecification(tau_s=0.02, tau_q_s=0.02)
@@ -96,7 +94,7 @@ def test_exact_estimator_is_silent_while_healthy(variant: str, latency: int) -> 
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("variant", ["physics", "published"])
-def test_estimate_equals_the_lost_channel_after_the_fault(variant: str) -> None:
+def test_estimate_equals_the_lost_channel_after_the_fault(variant):
     """(2.9): d̂ = G1 u1, what torque would have given; settled it is the whole reference."""
     plant = steer_by_wire(variant=variant)  # type: ignore[arg-type]
     table = build(design(plant, DesignSpecification()), Target(1e-3))
@@ -113,7 +111,7 @@ def test_estimate_equals_the_lost_channel_after_the_fault(variant: str) -> None:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 2, 4])
-def test_published_tuning_survives_a_latency_that_it_knows(latency: int) -> None:
+def test_published_tuning_survives_a_latency_that_it_knows(latency):
     """C works on what the delayed model does not explain: healthy and after the loss."""
     left = np.ones((9000, 2))
     left[3000:, 0] = 0.0
@@ -125,7 +123,7 @@ def test_published_tuning_survives_a_latency_that_it_knows(latency: int) -> None
 
 @pytest.mark.compiled
 @pytest.mark.parametrize(("design_of", "tick_s"), [(DESIGN, 5e-4), (OPEN_LOOP, 5e-3)])
-def test_smooth_input_converges_with_order_two(design_of, tick_s: float) -> None:  # type: ignore[no-untyped-def]
+def test_smooth_input_converges_with_order_two(design_of, tick_s):  # type: ignore[no-untyped-def]
     """Firmware fed smooth r(t), y(t) against the continuous law fed the same, by lsim.
 
     Eliminating the loop, d̂ = (G1 u1 - y)/(1 - G2 F̂) and u2 = F̂ d̂; with G2 F̂ = q that is
@@ -173,7 +171,7 @@ def test_smooth_input_converges_with_order_two(design_of, tick_s: float) -> None
 
 
 @pytest.mark.compiled
-def test_free_parameter_q_filters_the_estimate() -> None:
+def test_free_parameter_q_filters_the_estimate():
     """Theorem 2.3.1 with 1 + Q = 1/(0.05s+1): d̂ is that filter of (2.9)'s d̂."""
     lag = ZeroPoleGain.lag(0.05, 1)
     minus_high_pass = ZeroPoleGain((0.0,), (-20.0,), -1.0)  # Q = lag - 1 = -s/(s + 20)
@@ -187,7 +185,7 @@ def test_free_parameter_q_filters_the_estimate() -> None:
     np.testing.assert_allclose(filtered, expected, atol=1e-6 * np.abs(expected).max())
 
 
-def test_a_batch_is_its_members() -> None:
+def test_a_batch_is_its_members():
     tables = [build(DESIGN, Target(1e-3)), build(DESIGN, Target(1e-3, 2, "zoh"))]
     many = np.zeros(2, tables[0].dtype)
     for i, table in enumerate(tables):
@@ -203,7 +201,7 @@ def test_a_batch_is_its_members() -> None:
 
 
 @pytest.mark.compiled
-def test_float32_table_follows_the_float64_one() -> None:
+def test_float32_table_follows_the_float64_one():
     """Settled loop in single precision: D* within a few float32 roundings of the reference."""
     trace = simulate(
         build(DESIGN, Target(1e-3, estimator="zoh", precision="float32")),

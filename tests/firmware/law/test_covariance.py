@@ -1,7 +1,5 @@
 """P in factors is P: against plain matrices, and where plain matrices fail."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -47,7 +45,7 @@ parts = st.lists(st.floats(0.0, 1.0), min_size=N, max_size=N).map(np.array)
 
 @pytest.mark.compiled
 @given(measurements=st.lists(numbers, max_size=8))
-def test_a_variance_is_on_the_diagonal(measurements: list[Matrix]) -> None:
+def test_a_variance_is_on_the_diagonal(measurements):
     state = begun()
     for x in measurements:
         measure(state, N, x, 0.5, np.zeros(N))
@@ -56,7 +54,7 @@ def test_a_variance_is_on_the_diagonal(measurements: list[Matrix]) -> None:
 
 
 @given(measurements=st.lists(numbers, min_size=1, max_size=8), noise=st.floats(1e-3, 10.0))
-def test_a_measurement_is_that_of_full_matrices(measurements: list[Matrix], noise: float) -> None:
+def test_a_measurement_is_that_of_full_matrices(measurements, noise):
     """S, K and P of Joseph's form (I - K xᵀ) P (I - K xᵀ)ᵀ + K Kᵀ noise."""
     state, gain = begun(), np.zeros(N)
     p = np.diag(VARIANCES)
@@ -72,9 +70,7 @@ def test_a_measurement_is_that_of_full_matrices(measurements: list[Matrix], nois
 
 
 @given(x=numbers, memory=parts.map(lambda part: 0.01 + 0.99 * part), added=parts)
-def test_what_fades_and_what_is_added_is_that_of_full_matrices(
-    x: Matrix, memory: Matrix, added: Matrix
-) -> None:
+def test_what_fades_and_what_is_added_is_that_of_full_matrices(x, memory, added):
     state = begun()
     measure(state, N, x, 0.1, np.zeros(N))
     before = matrix(state)
@@ -88,9 +84,7 @@ def test_what_fades_and_what_is_added_is_that_of_full_matrices(
 
 @given(measurements=st.lists(numbers, min_size=1, max_size=8),
        share=st.floats(0.0, 4.0), moment=st.floats(0.0, 4.0))  # fmt: skip
-def test_new_states_of_a_loss_know_nothing_of_each_other_and_the_rest(
-    measurements: list[Matrix], share: float, moment: float
-) -> None:
+def test_new_states_of_a_loss_know_nothing_of_each_other_and_the_rest(measurements, share, moment):
     """The covariances of the rest stay."""
     state = begun()
     for x in measurements:
@@ -102,7 +96,7 @@ def test_new_states_of_a_loss_know_nothing_of_each_other_and_the_rest(
     np.testing.assert_allclose(matrix(state), expected, atol=1e-12)
 
 
-def test_what_is_cleared_is_zero() -> None:
+def test_what_is_cleared_is_zero():
     state = begun()
     measure(state, N, np.arange(1.0, 1.0 + N), 0.1, np.zeros(N))
     assert np.tril(matrix(state), -1).any()
@@ -117,8 +111,8 @@ def test_what_is_cleared_is_zero() -> None:
 @given(seed=st.integers(0, 2**32 - 1), noise=st.sampled_from([1e-18, 1e-6, 1e-2]),
        size=st.sampled_from([1e-2, 1.0, 1e2]), grows=st.sampled_from([0.0, 1e-6]))  # fmt: skip
 def test_it_stays_positive_semidefinite_and_the_innovation_s_variance_above_its_noise(
-    seed: int, noise: float, size: float, grows: float, precision: Precision
-) -> None:
+    seed, noise, size, grows, precision
+):
     """Where the same x is measured again and again, which leaves P itself indefinite."""
     draw, state = np.random.default_rng(seed), begun(precision, 0.36)
     x = (size * draw.standard_normal(N)).astype(precision)

@@ -1,7 +1,5 @@
 """The decision on d̂, and compensation from the decision on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -52,7 +50,7 @@ def confirming(latency: int = 1, **changes: object) -> Target:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 2])
-def test_post_fault_peak_is_at_most_twice_the_unavoidable(latency: int) -> None:
+def test_post_fault_peak_is_at_most_twice_the_unavoidable(latency):
     trace = drive(confirming(latency), np.ones(TICKS))
     bound = unavoidable(latency, 1.0 / CAR.g1.dc_gain)
     peak = np.abs(trace.error[LOST:]).max()
@@ -62,7 +60,7 @@ def test_post_fault_peak_is_at_most_twice_the_unavoidable(latency: int) -> None:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 2, 3])
-def test_it_beats_waiting_for_the_estimate(latency: int) -> None:
+def test_it_beats_waiting_for_the_estimate(latency):
     """Half the delay around the loop: less error than the thesis's law with the same tuning."""
     early = drive(confirming(latency), np.ones(TICKS), of=DESIGN)
     always = drive(confirming(latency, on_confirmation=False), np.ones(TICKS), of=DESIGN)
@@ -73,7 +71,7 @@ def test_it_beats_waiting_for_the_estimate(latency: int) -> None:
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("latency", [0, 2])
 @pytest.mark.parametrize("estimator", ["zoh", "tustin-held"])
-def test_without_a_fault_it_never_acts(latency: int, estimator: str, precision: str) -> None:
+def test_without_a_fault_it_never_acts(latency, estimator, precision):
     """The rule's own error included, and single precision's."""
     reference = np.sin(np.arange(1200) * 0.02)
     target = confirming(latency, estimator=estimator, precision=precision)
@@ -85,7 +83,7 @@ def test_without_a_fault_it_never_acts(latency: int, estimator: str, precision: 
 @pytest.mark.compiled
 @pytest.mark.parametrize("rms", [5e-3, 2e-2])
 @pytest.mark.parametrize("latency", [0, 1, 3])
-def test_a_loss_in_noise_is_suspected_confirmed_and_compensated(latency: int, rms: float) -> None:
+def test_a_loss_in_noise_is_suspected_confirmed_and_compensated(latency, rms):
     """The more noise the later: g u1 t²/2 has to stand out of it."""
     trace = drive(confirming(latency, noise_rms=rms), np.ones(4000), of=DESIGN, rms=rms)
     states = trace.fault_state
@@ -98,7 +96,7 @@ def test_a_loss_in_noise_is_suspected_confirmed_and_compensated(latency: int, rm
 
 
 @pytest.mark.compiled
-def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate() -> None:
+def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate():
     """Noise alone, at one allowed suspicion a second, gives short suspicions alone."""
     rms, ticks = 0.01, 8000
     target = confirming(1, noise_rms=rms, suspicions_per_hour=3600.0)
@@ -110,7 +108,7 @@ def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate() ->
 
 
 @pytest.mark.compiled
-def test_a_spike_is_suspected_and_moves_no_actuator() -> None:
+def test_a_spike_is_suspected_and_moves_no_actuator():
     """Eleven samples that look like a loss."""
     spike = np.zeros(1600)
     spike[LOST : LOST + 11] = -7e-4 * np.arange(11) ** 2
@@ -126,7 +124,7 @@ def test_a_spike_is_suspected_and_moves_no_actuator() -> None:
 @pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1, 3])
 @pytest.mark.parametrize("rms", [0.0, 2e-2])
-def test_a_channel_that_comes_back_is_cleared_without_a_bump(latency: int, rms: float) -> None:
+def test_a_channel_that_comes_back_is_cleared_without_a_bump(latency, rms):
     target = confirming(latency, noise_rms=rms)
     trace = drive(target, np.ones(2 * TICKS), until=BACK, of=DESIGN, rms=rms)
     states = trace.fault_state
@@ -138,7 +136,7 @@ def test_a_channel_that_comes_back_is_cleared_without_a_bump(latency: int, rms: 
 
 
 @pytest.mark.compiled
-def test_a_reference_through_zero_clears_nothing() -> None:
+def test_a_reference_through_zero_clears_nothing():
     """d̂ goes through zero with the command; the loss stays confirmed."""
     reference = np.cos(np.arange(TICKS) * 0.02)
     trace = drive(confirming(), reference, of=DESIGN)
@@ -147,13 +145,13 @@ def test_a_reference_through_zero_clears_nothing() -> None:
 
 
 @pytest.mark.compiled
-def test_without_excitation_it_cannot_tell() -> None:
+def test_without_excitation_it_cannot_tell():
     trace = drive(confirming(noise_rms=1e-3), np.zeros(TICKS))
     assert (trace.fault_state == CANNOT_TELL).all()
 
 
 @pytest.mark.compiled
-def test_a_biased_sensor_is_no_loss() -> None:
+def test_a_biased_sensor_is_no_loss():
     """d̂ = -b, as of a loss, but at once."""
     bias = np.where(np.arange(1200) < LOST, 0.0, -0.1)
     target = confirming(noise_rms=1e-2, on_confirmation=False)
@@ -165,7 +163,7 @@ def test_a_biased_sensor_is_no_loss() -> None:
 
 
 @pytest.mark.parametrize("value", [1.0, -1.0])
-def test_a_bias_that_no_command_explains_is_no_loss(value: float) -> None:
+def test_a_bias_that_no_command_explains_is_no_loss(value):
     """D* jumps without a command: no lost channel causes such a d̂."""
     firmware = Firmware(build(FAST, confirming(0)))
     answer = firmware.step(0.0, value)
@@ -178,7 +176,7 @@ def test_a_bias_that_no_command_explains_is_no_loss(value: float) -> None:
 @pytest.mark.compiled
 @pytest.mark.parametrize("left", [0.0, 0.25, 0.5])
 @pytest.mark.parametrize("latency", [1, 2])
-def test_as_much_is_compensated_as_is_lost(left: float, latency: int) -> None:
+def test_as_much_is_compensated_as_is_lost(left, latency):
     """X_diff settles at the share that the torque lost of what carries the bend, and as fast."""
     trace = drive(confirming(latency), np.ones(TICKS), left)
     whole = 1.0 / CAR.g2.dc_gain
@@ -189,9 +187,7 @@ def test_as_much_is_compensated_as_is_lost(left: float, latency: int) -> None:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("place", [(1.0, 0, 0), (-1.0, 0, 0), (0, 1.0, 0), (0, -1.0, 1.0)])
-def test_another_car_of_the_box_is_no_loss_and_its_loss_is_found(
-    place: tuple[float, float, float],
-) -> None:
+def test_another_car_of_the_box_is_no_loss_and_its_loss_is_found(place):
     """Mass, speed, front tires up to 20 % off, on a reference that turns and steps."""
     plant = sample(steer_by_wire(car_at(np.array(place))), TICK_S)
     reference = np.where(np.arange(6000) < 3000, np.sin(np.arange(6000) * 0.003), 1.0)
@@ -205,7 +201,7 @@ def test_another_car_of_the_box_is_no_loss_and_its_loss_is_found(
     assert SUSPECTED in believed.fault_state or CONFIRMED in believed.fault_state
 
 
-def test_a_command_that_acts_within_the_tick_is_no_fault() -> None:
+def test_a_command_that_acts_within_the_tick_is_no_fault():
     """Chapter 2's u2 = r feeds through Tustin's G2: some 1e-3 of d̂ that the decision must know."""
     plant = chapter_2()
     table = build(

@@ -1,7 +1,5 @@
 """What the actuators report: the modelled output of a healthy actuator, and its weight."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -53,9 +51,7 @@ def outputs(stage: Stage, commands: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize("latency", [0, 3])
 @pytest.mark.parametrize("actuators", [LAGS, (IDEAL, SLOW), (SLOW, SLOW)])
-def test_a_working_actuator_has_no_error_at_any_age(
-    actuators: tuple[Stage, Stage], latency: int
-) -> None:
+def test_a_working_actuator_has_no_error_at_any_age(actuators, latency):
     firmware = Firmware(table_of(actuators, latency, on_confirmation=False))
     draw, sent = np.random.default_rng(4), []
     firmware.step(0.0, 0.0)
@@ -163,7 +159,7 @@ def confirmed_after(answers: list[Answer]) -> int:
 
 
 @pytest.mark.compiled
-def test_a_loss_is_confirmed_sooner_with_an_echo_and_against_a_lying_one() -> None:
+def test_a_loss_is_confirmed_sooner_with_an_echo_and_against_a_lying_one():
     alone, told, denied = (
         confirmed_after(drive(table_of(), dead, hears)) for hears in (None, honest, lying)
     )
@@ -171,7 +167,7 @@ def test_a_loss_is_confirmed_sooner_with_an_echo_and_against_a_lying_one() -> No
 
 
 @pytest.mark.compiled
-def test_a_gust_is_no_loss_for_the_echo_denies_it() -> None:
+def test_a_gust_is_no_loss_for_the_echo_denies_it():
     def gust(k: int) -> float:
         return 0.4 * min(k / 300, 1.0)
 
@@ -183,7 +179,7 @@ def test_a_gust_is_no_loss_for_the_echo_denies_it() -> None:
     assert max(abs(answer.command_2) for answer in told) == 0.0
 
 
-def test_a_force_of_its_own_is_found_by_its_echo_and_is_no_loss_of_the_torque() -> None:
+def test_a_force_of_its_own_is_found_by_its_echo_and_is_no_loss_of_the_torque():
     answers = drive(table_of(), force_swings, honest)
     assert FaultState.CONFIRMED not in states(answers)
     found = verdicts(answers).index(Verdict.FORCE_LOST)
@@ -192,7 +188,7 @@ def test_a_force_of_its_own_is_found_by_its_echo_and_is_no_loss_of_the_torque() 
     assert Verdict.FORCE_LOST not in verdicts(drive(table_of(), force_swings))
 
 
-def test_a_swinging_torque_is_compensated_until_it_works_again() -> None:
+def test_a_swinging_torque_is_compensated_until_it_works_again():
     ticks = FAULT + 700
 
     def peak(answers: list[Answer]) -> float:
@@ -219,7 +215,7 @@ def drifts_slowly(torque: float, force: float, k: int) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("acts", [offset, swings_fast, drifts_slowly])
-def test_a_faulty_motor_that_moves_has_lost_no_share_of_its_command(acts: Any) -> None:
+def test_a_faulty_motor_that_moves_has_lost_no_share_of_its_command(acts):
     """The force carries what the echo misses, 20 N m at most, and begins without a jump."""
     answers = drive(table_of(), acts, honest)
     assert FaultState.CONFIRMED not in states(answers)
@@ -230,7 +226,7 @@ def test_a_faulty_motor_that_moves_has_lost_no_share_of_its_command(acts: Any) -
     assert np.abs(np.diff(force)).max() < 0.2 * whole
 
 
-def test_an_echo_that_contradicts_a_confirmed_loss_takes_over_without_a_jump() -> None:
+def test_an_echo_that_contradicts_a_confirmed_loss_takes_over_without_a_jump():
     def comes_back(torque: float, force: float, k: int) -> tuple[float, float]:
         return 0.0 if k < 150 else torque - 25.0, force
 
@@ -256,9 +252,7 @@ def test_an_echo_that_contradicts_a_confirmed_loss_takes_over_without_a_jump() -
         (100.0, 1.0, False),  # reports no fault: proves nothing
     ],
 )
-def test_an_echo_contradicts_a_share_that_explains_less_than_half(
-    echo: float, share: float, contradicts: bool
-) -> None:
+def test_an_echo_contradicts_a_share_that_explains_less_than_half(echo, share, contradicts):
     table = table_of()
     state = controller.init(table)[0]
     state.echoes.channel_1.outputs[:] = 100.0
@@ -281,9 +275,7 @@ def test_an_echo_contradicts_a_share_that_explains_less_than_half(
         ([(100.0, 150.0), (100.0, 150.0)], 0.0),  # more than the command
     ],
 )
-def test_an_echo_tells_a_share_where_e_and_its_changes_follow_the_output(
-    told: list[tuple[float, float]], share: float
-) -> None:
+def test_an_echo_tells_a_share_where_e_and_its_changes_follow_the_output(told, share):
     table = table_of()
     state = controller.init(table)[0]
     for output, echo in [(100.0, 100.0), (100.0, 100.0), *told]:
@@ -293,7 +285,7 @@ def test_an_echo_tells_a_share_where_e_and_its_changes_follow_the_output(
 
 
 @pytest.mark.compiled
-def test_a_motor_that_drifts_and_obeys_makes_up_for_its_own_drift() -> None:
+def test_a_motor_that_drifts_and_obeys_makes_up_for_its_own_drift():
     """The force carries the drift of half a second, not the sum of all drift."""
     per_tick, ticks = 0.03, FAULT + 3000
 
@@ -309,7 +301,7 @@ def test_a_motor_that_drifts_and_obeys_makes_up_for_its_own_drift() -> None:
 
 
 @pytest.mark.compiled
-def test_a_motor_that_is_stuck_makes_up_for_nothing() -> None:
+def test_a_motor_that_is_stuck_makes_up_for_nothing():
     """Every answer is the answer of a law without the hand-over."""
 
     def stuck(_torque: float, force: float, _k: int) -> tuple[float, float]:
@@ -323,14 +315,14 @@ def test_a_motor_that_is_stuck_makes_up_for_nothing() -> None:
 
 
 @pytest.mark.compiled
-def test_a_force_that_dies_beside_a_lost_torque_is_the_loss_of_both() -> None:
+def test_a_force_that_dies_beside_a_lost_torque_is_the_loss_of_both():
     answers = drive(table_of(), both_dead, honest)
     assert Verdict.BOTH_LOST in verdicts(answers)
 
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("channel", [1, 2])
-def test_a_wrong_echo_of_a_working_actuator_moves_nothing(channel: int) -> None:
+def test_a_wrong_echo_of_a_working_actuator_moves_nothing(channel):
     def wrong(outputs: Any, _commands: Any, _k: int) -> Any:
         return [-output - 50.0 if at == channel else output for at, output in enumerate(outputs, 1)]
 
@@ -341,11 +333,11 @@ def test_a_wrong_echo_of_a_working_actuator_moves_nothing(channel: int) -> None:
 
 
 @pytest.mark.compiled
-def test_a_law_that_hears_nothing_is_the_law_without_echoes() -> None:
+def test_a_law_that_hears_nothing_is_the_law_without_echoes():
     assert drive(table_of(), dead) == drive(table_of(echoes=False), dead)
 
 
-def test_an_echo_that_falls_silent_takes_its_evidence_along() -> None:
+def test_an_echo_that_falls_silent_takes_its_evidence_along():
     def falls_silent(outputs: Any, _commands: Any, k: int) -> Any:
         return outputs if k < FAULT - 20 else (math.nan, math.nan)
 
@@ -354,7 +346,7 @@ def test_an_echo_that_falls_silent_takes_its_evidence_along() -> None:
 
 @pytest.mark.parametrize("echo", [(1, math.nan, 0.0), (1, 5.0, math.nan), (1, 5.0, -1.0),
                                   (2, 5.0, float(KEPT_TICKS)), (3, 5.0, 0.0)])  # fmt: skip
-def test_what_is_no_echo_is_ignored(echo: tuple[int, float, float]) -> None:
+def test_what_is_no_echo_is_ignored(echo):
     firmware = Firmware(table_of())
     firmware.step(1.0, 0.0)
     firmware.hear(*echo)
@@ -362,7 +354,7 @@ def test_what_is_no_echo_is_ignored(echo: tuple[int, float, float]) -> None:
 
 
 @pytest.mark.parametrize("channel", [1, 2])
-def test_an_echo_counts_until_it_has_stayed_away_for_long(channel: int) -> None:
+def test_an_echo_counts_until_it_has_stayed_away_for_long(channel):
     table = table_of()
     firmware = Firmware(table)
     firmware.reset(0.0)
@@ -374,7 +366,7 @@ def test_an_echo_counts_until_it_has_stayed_away_for_long(channel: int) -> None:
     assert firmware.echo_errors == (0.0, 0.0)
 
 
-def test_a_settled_actuator_has_followed_its_command() -> None:
+def test_a_settled_actuator_has_followed_its_command():
     firmware = Firmware(table_of())
     firmware.reset(0.7)
     torque, force = firmware.commands
@@ -389,7 +381,7 @@ def test_a_settled_actuator_has_followed_its_command() -> None:
 @pytest.mark.parametrize(
     ("channel", "verdict"), [(1, Verdict.TORQUE_OFFSET), (2, Verdict.FORCE_LOST)]
 )
-def test_many_good_echoes_end_a_verdict(channel: int, verdict: Verdict) -> None:
+def test_many_good_echoes_end_a_verdict(channel, verdict):
     table = table_of()
     state = controller.init(table)[0]
     state.hypotheses.verdict = verdict

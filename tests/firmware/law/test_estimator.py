@@ -1,7 +1,5 @@
 """The model of the plant on the target: each command when the plant gets it, by scipy's filters."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -58,7 +56,7 @@ def answers(commands: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("latency", LATENCIES)
-def test_each_channel_is_its_model_of_the_commands_when_they_act(latency: int) -> None:
+def test_each_channel_is_its_model_of_the_commands_when_they_act(latency):
     constants, state = made(latency)
     outputs = run(constants, state, COMMANDS)
     expected = answers(delayed(COMMANDS, latency))
@@ -67,7 +65,7 @@ def test_each_channel_is_its_model_of_the_commands_when_they_act(latency: int) -
 
 
 @pytest.mark.parametrize("latency", LATENCIES)
-def test_a_settled_model_stays_until_new_commands_act(latency: int) -> None:
+def test_a_settled_model_stays_until_new_commands_act(latency):
     """Wherever the ring was, and whatever was on its way in it."""
     constants, state = made(latency)
     run(constants, state, COMMANDS[:, :5])
@@ -82,7 +80,7 @@ def test_a_settled_model_stays_until_new_commands_act(latency: int) -> None:
 
 
 @pytest.mark.parametrize("latency", LATENCIES)
-def test_a_cleared_model_starts_at_rest_with_what_is_on_its_way(latency: int) -> None:
+def test_a_cleared_model_starts_at_rest_with_what_is_on_its_way(latency):
     constants, state = made(latency)
     run(constants, state, COMMANDS)
     biquad.advance(constants.one_plus_q, state.one_plus_q, 1.0)

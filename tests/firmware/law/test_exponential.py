@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 
 from firmware_model.law.exponential import LARGEST, exp_minus
-from firmware_model.law.structs import Precision
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_is_within_two_roundings(precision: Precision) -> None:
+def test_is_within_two_roundings(precision):
     real = np.dtype(precision).type
     rounding = float(np.finfo(precision).eps) / 2.0
     random = np.random.default_rng(1)
@@ -20,7 +19,7 @@ def test_is_within_two_roundings(precision: Precision) -> None:
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_begins_at_one_and_ends_at_zero(precision: Precision) -> None:
+def test_begins_at_one_and_ends_at_zero(precision):
     real = np.dtype(precision).type
     assert exp_minus(real(0.0)) == 1.0
     for x in (LARGEST, 1e4, np.inf, np.nan):

@@ -1,7 +1,5 @@
 """One hypothesis: its signature in the innovations, its evidence, its onset."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -48,7 +46,7 @@ def filtered(table: Any, residual: FloatArray, x: FloatArray) -> tuple[FloatArra
 
 
 @pytest.mark.parametrize("noise_pole", [0.0, 0.6])
-def test_a_signature_is_what_the_fault_changes_in_the_innovations(noise_pole: float) -> None:
+def test_a_signature_is_what_the_fault_changes_in_the_innovations(noise_pole):
     """The filter is linear in d̂: with and without the fault its innovations differ by m f."""
     table = tables_of(mismatch=other_cars(3), noise_pole=noise_pole)[0]
     draw = np.random.default_rng(3)
@@ -76,9 +74,7 @@ def test_a_signature_is_what_the_fault_changes_in_the_innovations(noise_pole: fl
 
 
 @given(new=st.floats(0.1, 10.0), variance=st.floats(0.01, 1.0))
-def test_a_bias_jumps_in_the_tick_after_a_verdict_as_in_any_other(
-    new: float, variance: float
-) -> None:
+def test_a_bias_jumps_in_the_tick_after_a_verdict_as_in_any_other(new, variance):
     """Its onset is that tick already, so it begins again or not as the last bit falls."""
     table, state = NO_CARS[0], controller.init(NO_CARS[0])[0]
     begin_all(state.hypotheses.signatures)
@@ -88,9 +84,7 @@ def test_a_bias_jumps_in_the_tick_after_a_verdict_as_in_any_other(
 
 
 @given(st.integers(0, 10**6), st.sampled_from([(-math.inf, math.inf), (0.5, 1.5), (-0.1, 0.1)]))
-def test_evidence_is_the_likelihood_ratio_of_the_likeliest_size(
-    seed: int, limits: tuple[float, float]
-) -> None:
+def test_evidence_is_the_likelihood_ratio_of_the_likeliest_size(seed, limits):
     """Against the log-densities of white noise, and scipy's search for the size."""
     draw = np.random.default_rng(seed)
     f, sigma = draw.standard_normal(12), draw.uniform(0.5, 2.0, 12)
@@ -117,13 +111,13 @@ def test_evidence_is_the_likelihood_ratio_of_the_likeliest_size(
     assert own.evidence == pytest.approx(-best.fun, abs=1e-6)
 
 
-def test_where_nothing_is_known_the_size_is_none() -> None:
+def test_where_nothing_is_known_the_size_is_none():
     limits = tables_of()[0].hypotheses.signatures.rows[FORCE_ROW].limits
     assert likeliest(3.0, 0.0, limits) == 0.0
     assert likeliest(-3.0, 1.0, limits) == limits.least == 0.5
 
 
-def test_what_each_fault_adds_to_the_estimate() -> None:
+def test_what_each_fault_adds_to_the_estimate():
     """Against the step response of the continuous plant and a simulation by scipy's state space."""
     tables = tables_of()
     table, state = tables[0], controller.init(tables[0])[0]
@@ -157,7 +151,7 @@ def test_what_each_fault_adds_to_the_estimate() -> None:
 
 
 @pytest.mark.parametrize("moves", [False, True])
-def test_a_frozen_sensor_repeats_itself_while_the_model_moves(moves: bool) -> None:
+def test_a_frozen_sensor_repeats_itself_while_the_model_moves(moves):
     """Then -ln of the chance of each repetition, and the likelihood of the missing motion."""
     tables = tables_of(resolution=0.001)
     table, state = tables[0], controller.init(tables[0])[0]
@@ -192,7 +186,7 @@ def test_a_frozen_sensor_repeats_itself_while_the_model_moves(moves: bool) -> No
     [(0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.001, 0.01, 0.0), (0.01, 0.0, math.log(1e6))],
 )
 def test_a_repetition_says_nothing_without_noise_and_no_more_than_a_sensor_resolves(
-    noise_rms: float, resolution: float, evidence: float
-) -> None:
+    noise_rms, resolution, evidence
+):
     table = build(DESIGN, Target(TICK_S, 1, "zoh", noise_rms=noise_rms, resolution=resolution))
     assert table.hypotheses.frozen.repetition == pytest.approx(evidence)

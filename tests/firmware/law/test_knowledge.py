@@ -1,7 +1,5 @@
 """Saved knowledge: a restarted controller goes on with the loss, the sensor and the car."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -15,7 +13,6 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Verdict
-from firmware_model.law.structs import Precision
 from firmware_model.law.supervision import knowledge
 from tests.firmware.law.cases import other_cars
 
@@ -86,7 +83,7 @@ def lost(working: float = 0.0, at: int = 600, end: int = 3000, **changes: Any) -
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("working", [0.0, 0.5])
-def test_a_known_loss_is_compensated_from_the_first_tick(working: float) -> None:
+def test_a_known_loss_is_compensated_from_the_first_tick(working):
     largest = {}
     for remembers in (True, False):
         loop = lost(working)
@@ -104,7 +101,7 @@ def test_a_known_loss_is_compensated_from_the_first_tick(working: float) -> None
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("on_confirmation", [True, False])
-def test_the_steady_state_with_a_known_loss_repeats_its_commands(on_confirmation: bool) -> None:
+def test_the_steady_state_with_a_known_loss_repeats_its_commands(on_confirmation):
     """At y = r every tick answers the same; d̂ is the lost part of y."""
     quiet = table_of(noise_rms=0.0, on_confirmation=on_confirmation)
     loop = lost(0.5, on_confirmation=on_confirmation)
@@ -125,7 +122,7 @@ def test_the_steady_state_with_a_known_loss_repeats_its_commands(on_confirmation
 
 
 @pytest.mark.compiled
-def test_a_known_error_of_the_sensor_stays_known() -> None:
+def test_a_known_error_of_the_sensor_stays_known():
     loop = Loop()
     loop.run(500)
     loop.bias = 0.2
@@ -139,7 +136,7 @@ def test_a_known_error_of_the_sensor_stays_known() -> None:
 
 
 @pytest.mark.compiled
-def test_the_car_stays_known() -> None:
+def test_the_car_stays_known():
     loop = Loop()
     loop.run(1000)
     known = loop.firmware._states[0].mismatch
@@ -153,7 +150,7 @@ def test_the_car_stays_known() -> None:
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_one_flipped_bit_anywhere_is_refused(precision: Precision) -> None:
+def test_one_flipped_bit_anywhere_is_refused(precision):
     table = table_of(precision=precision)
     firmware = Firmware(table)
     firmware.reset(0.5)
@@ -170,7 +167,7 @@ def test_one_flipped_bit_anywhere_is_refused(precision: Precision) -> None:
     assert other.saved() == whole
 
 
-def test_saved_knowledge_ends_with_a_reset_and_outlives_ticks_without_inputs() -> None:
+def test_saved_knowledge_ends_with_a_reset_and_outlives_ticks_without_inputs():
     loop = lost(at=200, end=400)
     whole = loop.firmware.saved()
     firmware = Firmware(TABLE)
@@ -188,7 +185,7 @@ def test_saved_knowledge_ends_with_a_reset_and_outlives_ticks_without_inputs() -
     assert firmware.step(0.0, 0.0).fault_state != FaultState.CONFIRMED
 
 
-def test_a_frozen_sensor_before_a_restart_says_nothing_of_the_sensor_after() -> None:
+def test_a_frozen_sensor_before_a_restart_says_nothing_of_the_sensor_after():
     loop = Loop()
     frozen = loop.run(200)[-1]
     firmware = loop.firmware

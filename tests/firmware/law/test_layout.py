@@ -1,7 +1,5 @@
 """The table and the state are C structs, and every member says what it is."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator
 from typing import Any
@@ -51,16 +49,14 @@ def compare(layout: np.dtype[Any], struct: type[ctypes.Structure]) -> None:
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("which", TYPES)
-def test_members_lie_where_a_c_compiler_puts_them(which: str, precision: Any) -> None:
+def test_members_lie_where_a_c_compiler_puts_them(which, precision):
     struct, type_of = TYPES[which]
     compare(type_of(precision), c_struct(struct, PRECISIONS[precision]))
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("which", TYPES)
-def test_there_are_numbers_of_the_precision_and_32_bit_integers_alone(
-    which: str, precision: Any
-) -> None:
+def test_there_are_numbers_of_the_precision_and_32_bit_integers_alone(which, precision):
     def leaves(layout: np.dtype[Any]) -> Iterator[np.dtype[Any]]:
         for name in layout.names or ():
             member = layout[name]
@@ -70,7 +66,7 @@ def test_there_are_numbers_of_the_precision_and_32_bit_integers_alone(
 
 
 @pytest.mark.parametrize("which", TYPES)
-def test_every_field_says_its_unit_and_its_meaning(which: str) -> None:
+def test_every_field_says_its_unit_and_its_meaning(which):
     for field in fields(TYPES[which][0]):
         assert {unit.removesuffix("²") for unit in field.unit.split("/")} <= UNITS, field
         assert field.meaning, field
@@ -78,12 +74,12 @@ def test_every_field_says_its_unit_and_its_meaning(which: str) -> None:
 
 
 @pytest.mark.parametrize("which", TYPES)
-def test_no_field_hides_an_attribute_of_a_record(which: str) -> None:
+def test_no_field_hides_an_attribute_of_a_record(which):
     """Interpreted, fields are attributes: ``size`` or ``real`` would be something else."""
     assert not {field.name for field in fields(TYPES[which][0])} & set(dir(np.record))
 
 
-def test_a_nested_field_is_written_in_place() -> None:
+def test_a_nested_field_is_written_in_place():
     state = zeroed(State, "float64")[0]
     state.reference_shaper.shaped = 2.0
     state.estimator.channel_1.accumulators[1, 0] = 3.0
@@ -92,5 +88,5 @@ def test_a_nested_field_is_written_in_place() -> None:
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_a_table_says_its_precision(precision: Any) -> None:
+def test_a_table_says_its_precision(precision):
     assert precision_of(zeroed(Table, precision)[0]) == precision

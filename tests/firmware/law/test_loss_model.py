@@ -1,7 +1,5 @@
 """The known loss s w: its inputs, the part of a candidate, and the estimate of s."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -84,7 +82,7 @@ def fading_shown(table: Any, state: Any) -> float:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_behind_the_whitener_s_w_is_continuous_too(sign: float) -> None:
+def test_behind_the_whitener_s_w_is_continuous_too(sign):
     """The innovation subtracts s W w: after the take-over the sum of both that were known."""
     table = build(DESIGN, Target(TICK_S, noise_rms=0.01, noise_pole=0.6, disturbance=0.2))
     state = controller.init(table)[0]
@@ -109,7 +107,7 @@ def late(w: FloatArray, latency: int) -> FloatArray:
 
 
 @pytest.mark.parametrize("latency", LATENCIES)
-def test_w_is_the_answer_of_g1_to_the_commands_that_are_lost(latency: int) -> None:
+def test_w_is_the_answer_of_g1_to_the_commands_that_are_lost(latency):
     """Commands of a working channel are not lost: w fades with the motion."""
     table, state = begun(latency)
     rows = []
@@ -128,9 +126,7 @@ def test_w_is_the_answer_of_g1_to_the_commands_that_are_lost(latency: int) -> No
 
 @pytest.mark.parametrize("latency", LATENCIES)
 @pytest.mark.parametrize("start", [0, 11])
-def test_the_candidate_is_driven_by_all_commands_that_had_not_acted(
-    start: int, latency: int
-) -> None:
+def test_the_candidate_is_driven_by_all_commands_that_had_not_acted(start, latency):
     """The candidate knows w one tick before its start, and the speed of w from there."""
     table, state = begun(latency)
     w = signal.sosfilt(
@@ -154,8 +150,8 @@ def test_the_candidate_is_driven_by_all_commands_that_had_not_acted(
 @pytest.mark.parametrize(("known", "share"), [(0.0, 0.7), (0.5, 0.9), (0.8, 0.8)])
 @pytest.mark.parametrize("moment", [0.0, 0.3])
 def test_what_is_missing_is_continuous_where_a_candidate_is_taken_over(
-    known: float, share: float, sign: float, latency: int, moment: float
-) -> None:
+    known, share, sign, latency, moment
+):
     """The loss of before, with its learnt share and moment, and the candidate's, from then on."""
     table, state = begun(latency)
     for k, command in enumerate(COMMANDS):
@@ -198,7 +194,7 @@ def test_what_is_missing_is_continuous_where_a_candidate_is_taken_over(
         advance(table, together, 0.0)
 
 
-def test_what_is_cleared_is_nothing() -> None:
+def test_what_is_cleared_is_nothing():
     _, state = begun(3)
     loss = state.loss_model
     for name in ("share", "between", "followed", "previous_output", "previous_fading"):
@@ -212,7 +208,7 @@ def test_what_is_cleared_is_nothing() -> None:
     assert not any(loss.tobytes())
 
 
-def test_the_share_that_is_compensated_follows_by_two_lags() -> None:
+def test_the_share_that_is_compensated_follows_by_two_lags():
     """1 - (1 + t/τ) exp(-t/τ), τ of 10 ms, to first order in the tick."""
     table, state = begun(0)
     state.loss_model.share = 1.0
@@ -227,7 +223,7 @@ def test_the_share_that_is_compensated_follows_by_two_lags() -> None:
 @pytest.mark.parametrize(
     ("share", "off", "known"), [(0.9, 0.4, 1.0), (0.1, -0.4, 0.0), (0.5, 0.1, 0.6)]
 )
-def test_a_known_share_is_none_to_all(share: float, off: float, known: float) -> None:
+def test_a_known_share_is_none_to_all(share, off, known):
     _, state = begun(0)
     state.loss_model.share, state.mismatch.theta[0] = share, off
     assert known_share(state.loss_model, state.mismatch) == pytest.approx(known)

@@ -1,7 +1,5 @@
 """The make-up of one tick, alone: against least squares over all that comes."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -47,7 +45,7 @@ def records(rows: NDArray[np.float64], slew: float = math.inf) -> list[Any]:
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_it_leaves_the_least_of_the_missing_output(name: str) -> None:
+def test_it_leaves_the_least_of_the_missing_output(name):
     """One command acts in this tick."""
     rows = np.array(ROWS[name])
     constants, cascade, limits, state = records(rows)
@@ -62,7 +60,7 @@ def test_it_leaves_the_least_of_the_missing_output(name: str) -> None:
     assert abs(best) > 1e-3
 
 
-def test_however_slow_it_fades() -> None:
+def test_however_slow_it_fades():
     """A lag of a million ticks: y = s and the sum of squares of a geometric series."""
     rate = 1e-6
     gain = make_up_gain(Sections(np.array([[0.0, rate, 0.0, rate, 0.0]]), 1e-3))
@@ -70,13 +68,13 @@ def test_however_slow_it_fades() -> None:
     np.testing.assert_allclose(gain, [[(1.0 - rate) / rate, 0.0]], rtol=1e-9)
 
 
-def test_what_answers_to_nothing_cannot_make_up() -> None:
+def test_what_answers_to_nothing_cannot_make_up():
     rows = np.array([[0.0, 0.0, 0.0, 0.5, 0.1]])
     assert make_up_gain(Sections(rows, 1e-3)).tolist() == [[0.0, 0.0]]
 
 
 @pytest.mark.parametrize(("slew", "given"), [(100.0, -7.0), (5.0, -5.0), (7.0, -7.0)])
-def test_it_is_what_can_be_taken_back_within_a_tick(slew: float, given: float) -> None:
+def test_it_is_what_can_be_taken_back_within_a_tick(slew, given):
     constants, cascade, limits, state = records(np.array(ROWS["two sections"]), slew)
     constants.gain[:3] = [[1.0, 2.0], [3.0, 4.0], [9.0, 9.0]]
     state.accumulators[:3] = [[1.0, -2.0], [4.0, -4.0], [9.0, 9.0]]  # the third is not in use

@@ -1,7 +1,5 @@
 """Every memory of a state, one by one, after a reset and after an overflow."""
 
-from __future__ import annotations
-
 import math
 from functools import reduce
 from operator import getitem
@@ -86,9 +84,7 @@ def answers(table: Any, state: Any, ticks: int = 25) -> list[list[float]]:
 
 @pytest.mark.parametrize("reference", [0.4, 0.0])
 @pytest.mark.parametrize("on_confirmation", [True, False])
-def test_after_a_reset_nothing_is_left_of_what_was_before(
-    reference: float, on_confirmation: bool
-) -> None:
+def test_after_a_reset_nothing_is_left_of_what_was_before(reference, on_confirmation):
     """The same bits from then on as of a new controller, whatever the memories held."""
     table = table_of(reference_acceleration=40.0, on_confirmation=on_confirmation)
     found = []
@@ -103,7 +99,7 @@ def test_after_a_reset_nothing_is_left_of_what_was_before(
 
 
 @pytest.mark.parametrize("on_confirmation", [True, False])
-def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation: bool) -> None:
+def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation):
     """All else follows the commands, which are finite, and goes on; so a loss stays known."""
     table = table_of(on_confirmation=on_confirmation)
     state = used(table)
@@ -151,7 +147,7 @@ LOST = [
 
 
 @pytest.mark.parametrize("path", LOST)
-def test_where_one_of_the_models_is_lost_nothing_is_known_any_more(path: str) -> None:
+def test_where_one_of_the_models_is_lost_nothing_is_known_any_more(path):
     """From then on the same bits as of a new controller that has sent the same commands."""
     table = table_of(reference_acceleration=40.0)
     state, fresh = used(table), controller.init(table)[0]
@@ -182,7 +178,7 @@ INDICES = ["estimator.delay_index", "estimator.dead_index_1", "estimator.dead_in
 
 @pytest.mark.parametrize("path", INDICES)
 @pytest.mark.parametrize("index", [-1, 128, 2**30, -(2**31)])
-def test_a_damaged_index_reaches_nothing_and_is_whole_after_a_tick(path: str, index: int) -> None:
+def test_a_damaged_index_reaches_nothing_and_is_whole_after_a_tick(path, index):
     """Whatever is damaged, the next tick forgets the same, and a reset leaves the same."""
     *way, last = path.split(".")
 

@@ -1,7 +1,5 @@
 """What is learnt of the car: x by scipy's filters, and what θ and its variance make of it."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -81,9 +79,7 @@ def whitened(x: NDArray[Any]) -> NDArray[Any]:
 
 
 @pytest.mark.parametrize("parameters", [1, 2, 3, 4])
-def test_x_is_the_lost_w_what_is_earlier_the_difference_of_the_cars_and_one_whitened(
-    parameters: int,
-) -> None:
+def test_x_is_the_lost_w_what_is_earlier_the_difference_of_the_cars_and_one_whitened(parameters):
     rows = predicted(tables_of(parameters)[0])
     np.testing.assert_allclose(rows[:, 0], whitened(LOST), atol=1e-12)
     np.testing.assert_allclose(rows[:, 1], whitened(EARLIER), atol=1e-12)
@@ -93,7 +89,7 @@ def test_x_is_the_lost_w_what_is_earlier_the_difference_of_the_cars_and_one_whit
     assert not rows[:, parameters + 3 : MAX_STATES].any()
 
 
-def test_the_lost_w_and_what_is_earlier_are_kept_for_the_tick_after() -> None:
+def test_the_lost_w_and_what_is_earlier_are_kept_for_the_tick_after():
     table = tables_of(1)[0]
     state = controller.init(table)[0]
     predict(table, state, 1.0, 0.5, 0.3, 0.2)
@@ -107,7 +103,7 @@ def fading_largest(values: NDArray[Any]) -> NDArray[Any]:
     return np.where(k[:, None] >= k, faded, 0.0).max(axis=1)
 
 
-def test_motion_is_measured_against_extent() -> None:
+def test_motion_is_measured_against_extent():
     """Of the cars alone: how much is lost says nothing of how the car moves."""
     rows, x = predicted(tables_of(2)[0]), differences(2)
     extent = sum(value**2 for value in x)
@@ -120,7 +116,7 @@ def test_motion_is_measured_against_extent() -> None:
         np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-12 * expected.max())
 
 
-def test_a_rule_that_is_not_exact_leaves_a_tick_s_change_of_the_model() -> None:
+def test_a_rule_that_is_not_exact_leaves_a_tick_s_change_of_the_model():
     """Without other cars: the remainder alone, for a rule that lags or leads by up to a tick."""
     exact = predicted(tables_of(0)[0])
     np.testing.assert_allclose(exact[:, 1], whitened(EARLIER), atol=1e-12)
@@ -133,7 +129,7 @@ def test_a_rule_that_is_not_exact_leaves_a_tick_s_change_of_the_model() -> None:
     np.testing.assert_allclose(held[:, -1], fading_largest(steps), rtol=1e-9, atol=1e-300)
 
 
-def test_what_is_not_finite_stays_in_no_memory() -> None:
+def test_what_is_not_finite_stays_in_no_memory():
     table = build(DESIGN, Target(TICK_S, 0, "tustin-held"))
     state = controller.init(table)[0]
     for model in (1e200, 0.0):
@@ -141,7 +137,7 @@ def test_what_is_not_finite_stays_in_no_memory() -> None:
         assert state.mismatch.remainder == 0.0
 
 
-def test_a_new_loss_begins_with_share_and_moment_unknown() -> None:
+def test_a_new_loss_begins_with_share_and_moment_unknown():
     table = tables_of(2)[0]
     state = controller.init(table)[0]
     for command, model in zip(COMMANDS[:9], MODELLED, strict=False):
@@ -158,7 +154,7 @@ STILL = {"forgetting": 0.0, "growth": 0.0, "white": 0.0}
 
 
 @pytest.mark.parametrize("place", [(0.5, 0.0), (-0.7, 0.4)])
-def test_theta_finds_the_place_of_a_car(place: tuple[float, float]) -> None:
+def test_theta_finds_the_place_of_a_car(place):
     """A car that lies along the directions exactly, and noise: θ to within its own deviation."""
     tables = changed(tables_of(2)[0], mismatch={**STILL, "noise": 1e-10})
     tables[0].mismatch.whitener.n = 0
@@ -175,9 +171,7 @@ def test_theta_finds_the_place_of_a_car(place: tuple[float, float]) -> None:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("colour", [0.0, 0.9])
-def test_innovations_of_coloured_noise_on_another_car_are_white_and_as_large_as_said(
-    colour: float,
-) -> None:
+def test_innovations_of_coloured_noise_on_another_car_are_white_and_as_large_as_said(colour):
     """A car within the box, that does not wander: S is what its innovations have in the mean."""
     ticks, draw = 1000, np.random.default_rng(7)
     tables = changed(tables_of(2, noise_pole=colour)[0], mismatch=STILL)
@@ -198,7 +192,7 @@ def test_innovations_of_coloured_noise_on_another_car_are_white_and_as_large_as_
         assert abs(np.mean(normal[lag:] * normal[:-lag])) < 4.0 / math.sqrt(ticks)
 
 
-def test_a_settled_car_has_not_moved() -> None:
+def test_a_settled_car_has_not_moved():
     """In a steady bend: x is that of the steady state, and M is nothing."""
     table = tables_of(2)[0]
     state, torque = controller.init(table)[0], 1.0 / CAR.g1.dc_gain
@@ -219,7 +213,7 @@ def test_a_settled_car_has_not_moved() -> None:
 
 
 @pytest.mark.parametrize("part", [1.0, 0.5, 0.1])
-def test_the_remainder_is_of_second_order(part: float) -> None:
+def test_the_remainder_is_of_second_order(part):
     """Of a car with ``part`` of the box's θ, known or not, it is the square of that."""
     table = tables_of(4)[0]
     state = controller.init(table)[0]
@@ -233,7 +227,7 @@ def test_the_remainder_is_of_second_order(part: float) -> None:
     assert known.remainder == pytest.approx(0.01 * 0.36 * part**4 * known.change, rel=1e-9)
 
 
-def test_a_car_beyond_the_box_is_as_different_as_the_box_at_most() -> None:
+def test_a_car_beyond_the_box_is_as_different_as_the_box_at_most():
     table = tables_of(2)[0]
     state = controller.init(table)[0]
     assert difference(table, state.mismatch) == 1.0  # nothing is known of it
@@ -241,7 +235,7 @@ def test_a_car_beyond_the_box_is_as_different_as_the_box_at_most() -> None:
     assert difference(table, state.mismatch) == 1.0
 
 
-def test_a_doubted_motion_is_a_remainder_of_that_variance() -> None:
+def test_a_doubted_motion_is_a_remainder_of_that_variance():
     """The variance of the first innovation grows by x² times the variance, and its white share."""
     table = build(DESIGN, Target(TICK_S, 1, "zoh", mismatch=other_cars(2), noise_rms=0.01))
     variances = []

@@ -1,7 +1,5 @@
 """What is learnt of the car: against a Kalman filter in full matrices."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -63,7 +61,7 @@ class FullMatrices:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_it_is_the_kalman_filter_of_full_matrices(seed: int) -> None:
+def test_it_is_the_kalman_filter_of_full_matrices(seed):
     draw = np.random.default_rng(seed)
     constants, state = begun()
     theirs, before = FullMatrices(constants), 0.0
@@ -82,7 +80,7 @@ def test_it_is_the_kalman_filter_of_full_matrices(seed: int) -> None:
         np.testing.assert_allclose(covariance_of(state), theirs.p, atol=1e-9)
 
 
-def test_so_is_a_residual_that_is_no_number_though_x_is_one() -> None:
+def test_so_is_a_residual_that_is_no_number_though_x_is_one():
     constants, state = begun()
     state.regressor[:] = state.extent = 0.1
     innovation(constants, state, math.inf, 0.0, 0.0, 0.0)
@@ -91,7 +89,7 @@ def test_so_is_a_residual_that_is_no_number_though_x_is_one() -> None:
     assert state.previous_residual == 0.0
 
 
-def test_a_car_that_has_never_moved_may_be_any() -> None:
+def test_a_car_that_has_never_moved_may_be_any():
     """Nothing has shown yet, so there is no ratio of change to extent."""
     constants, state = begun()
     state.extent = state.change = 0.0
@@ -100,7 +98,7 @@ def test_a_car_that_has_never_moved_may_be_any() -> None:
 
 
 @pytest.mark.parametrize("huge", [1e200, math.inf, math.nan])
-def test_an_overflow_is_forgotten(huge: float) -> None:
+def test_an_overflow_is_forgotten(huge):
     constants, state = begun()
     constants.prior = 0.49
     _, fresh = begun(prior=0.49)
@@ -118,7 +116,7 @@ def test_an_overflow_is_forgotten(huge: float) -> None:
     assert not state.covariance.lower.any()
 
 
-def test_the_states_of_a_loss_take_no_part_before_any_loss() -> None:
+def test_the_states_of_a_loss_take_no_part_before_any_loss():
     """The same numbers as with a loss of which nothing is seen."""
     draw = np.random.default_rng(7)
     constants, without = begun()

@@ -1,7 +1,5 @@
 """A missing measurement: the model's prediction stands in, and C is a feedforward."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -80,7 +78,7 @@ def drive(table: Any, lost: int | None, missed: int = MISSED) -> Run:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1, 3])
-def test_a_car_that_is_the_model_is_driven_as_with_a_measurement(latency: int) -> None:
+def test_a_car_that_is_the_model_is_driven_as_with_a_measurement(latency):
     """In a turn, where held commands would be wrong by the motion of the car."""
     run, seeing = drive(table_of(latency), None), drive(table_of(latency), None, 0)
     assert np.abs(np.diff(SINE[MISSING : MISSING + MISSED])).sum() > 0.1
@@ -91,7 +89,7 @@ def test_a_car_that_is_the_model_is_driven_as_with_a_measurement(latency: int) -
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 3])
-def test_the_model_of_the_loss_goes_on(latency: int) -> None:
+def test_the_model_of_the_loss_goes_on(latency):
     """d̂ = s w after a loss of all (2.9), before, while and after measurements are missing."""
     run = drive(table_of(latency), LOST)
     known = np.arange(len(SINE)) > LOST + latency
@@ -102,7 +100,7 @@ def test_the_model_of_the_loss_goes_on(latency: int) -> None:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 3])
-def test_the_compensation_goes_on(latency: int) -> None:
+def test_the_compensation_goes_on(latency):
     """u2 = F̂ w of all commands since the loss, by scipy."""
     run = drive(table_of(latency), LOST)
     sent = np.where(np.arange(len(SINE)) < LOST - latency, 0.0, run.command_1)
@@ -131,7 +129,7 @@ def torques_of_another_car(gain: float, missing: range, blind_s: float) -> tuple
 
 
 @pytest.mark.compiled
-def test_what_the_model_does_not_know_of_a_car_goes_on_too() -> None:
+def test_what_the_model_does_not_know_of_a_car_goes_on_too():
     """A settled car 20 % off keeps its torque: the prediction carries the difference."""
     torques, modes = torques_of_another_car(1.2, range(1500, 1900), 1.0)
     assert (modes[1500:1900] == Mode.BLIND).all()
@@ -139,7 +137,7 @@ def test_what_the_model_does_not_know_of_a_car_goes_on_too() -> None:
 
 
 @pytest.mark.compiled
-def test_a_measurement_that_comes_back_fades_in() -> None:
+def test_a_measurement_that_comes_back_fades_in():
     """A car that changes unseen: C's answer to the difference is spread over some 50 ms."""
     table = changed(table_of(1, on_confirmation=False), compensator={"feedthrough": 0.0})[0]
     table.compensator.filter.n = 0
@@ -159,7 +157,7 @@ def test_a_measurement_that_comes_back_fades_in() -> None:
 
 
 @pytest.mark.compiled
-def test_after_the_longest_time_the_commands_go_to_zero_in_the_same_time() -> None:
+def test_after_the_longest_time_the_commands_go_to_zero_in_the_same_time():
     """In a straight line, until a measurement ends the stop."""
     torques, modes = torques_of_another_car(1.0, range(1500, 1900), 0.1)
     assert (modes[1500:1600] == Mode.BLIND).all()
@@ -172,7 +170,7 @@ def test_after_the_longest_time_the_commands_go_to_zero_in_the_same_time() -> No
 
 
 @pytest.mark.compiled
-def test_a_frozen_sensor_is_a_missing_measurement() -> None:
+def test_a_frozen_sensor_is_a_missing_measurement():
     """The car follows its reference all the same; the frozen number is found by its repetition."""
     target = Target(TICK_S, 1, "zoh", noise_rms=0.005, resolution=1e-5, on_confirmation=True)
     table = build(DESIGN, target)

@@ -1,7 +1,5 @@
 """The monitor: what is taken away, what is left, and how far a car with a broken law gets."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -64,7 +62,7 @@ def swinging(amplitude: float, ticks: int = 200, half: int = 10) -> list[tuple[f
 
 
 @pytest.mark.parametrize("bad", [(NAN, 1.0), (1.0, -math.inf), (11.0, 1.0), (1.0, -10.5)])
-def test_a_command_out_of_range_takes_both_away_for_good(bad: tuple[float, float]) -> None:
+def test_a_command_out_of_range_takes_both_away_for_good(bad):
     table, own = bench()
     assert told(table, own, [(0.0, 0.01, 1.0, 1.0)]) == [(1.0, 1.0)]
     after = told(table, own, [(0.0, 0.02, *bad), (0.0, 0.03, 1.0, 1.0), (0.0, 0.04, 1.0, 1.0)])
@@ -74,7 +72,7 @@ def test_a_command_out_of_range_takes_both_away_for_good(bad: tuple[float, float
     assert told(table, own, [(0.0, 0.05, 1.0, 1.0)]) == [(1.0, 1.0)]
 
 
-def test_a_command_beyond_the_rate_goes_to_zero_within_the_rate() -> None:
+def test_a_command_beyond_the_rate_goes_to_zero_within_the_rate():
     table, own = bench(slew_1=2.0, slew_2=0.5)
     steps = [(0.0, 0.01 * k, 2.0 * k, 0.5 * k) for k in range(1, 5)]
     assert told(table, own, steps) == [(2.0 * k, 0.5 * k) for k in range(1, 5)]
@@ -82,7 +80,7 @@ def test_a_command_beyond_the_rate_goes_to_zero_within_the_rate() -> None:
     assert left == [(6.0, 1.5), (4.0, 1.0), (2.0, 0.5), (0.0, 0.0), (0.0, 0.0)]
 
 
-def test_the_first_command_after_rest_may_be_any_within_the_range() -> None:
+def test_the_first_command_after_rest_may_be_any_within_the_range():
     table, own = bench(slew_1=0.1, slew_2=0.1)
     assert told(table, own, [(0.0, 0.01, 7.0, -7.0)]) == [(7.0, -7.0)]
     assert own.reason == 0
@@ -92,7 +90,7 @@ def test_the_first_command_after_rest_may_be_any_within_the_range() -> None:
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_a_car_that_its_commands_drive_astray_is_stopped(side: float) -> None:
+def test_a_car_that_its_commands_drive_astray_is_stopped(side):
     table, own = bench()
     far = side * (1.0 + REACH + ASTRAY)
     told(table, own, [(side, side, side, 0.0)])
@@ -105,7 +103,7 @@ def test_a_car_that_its_commands_drive_astray_is_stopped(side: float) -> None:
 
 
 @pytest.mark.parametrize("force", [-9.0, 0.0])
-def test_a_car_that_something_else_drives_astray_keeps_its_commands(force: float) -> None:
+def test_a_car_that_something_else_drives_astray_keeps_its_commands(force):
     table, own = bench()
     told(table, own, [(1.0, 1.0, 1.0, 0.0)])
     rows = [(1.0, min(1.0 + 0.1 * k, 9.0) + 0.001 * k, -9.0, force) for k in range(300)]
@@ -113,7 +111,7 @@ def test_a_car_that_something_else_drives_astray_keeps_its_commands(force: float
     assert own.reason == 0
 
 
-def test_a_sensor_that_repeats_itself_stops_no_car() -> None:
+def test_a_sensor_that_repeats_itself_stops_no_car():
     table, own = bench()
     rows = [(1.0 if k < 50 else -1.0, 9.0, 9.0, 0.0) for k in range(200)]
     told(table, own, [(1.0, 1.0, 1.0, 0.0), (1.0, 9.0, 1.0, 0.0)])
@@ -130,7 +128,7 @@ EFFECTS: dict[str, tuple[float, ...]] = {
 
 
 @pytest.mark.parametrize(("name", "ticks"), [*zip(EFFECTS, [40, 40, 0, 0, 0], strict=True)])
-def test_ticks_in_which_commands_have_no_effect(name: str, ticks: int) -> None:
+def test_ticks_in_which_commands_have_no_effect(name, ticks):
     table, own = bench()
     reference, y, *commands = EFFECTS[name]
     told(table, own, [(0.0, 0.0, 0.1, 0.0), (reference, y + 0.01, *commands)])
@@ -140,7 +138,7 @@ def test_ticks_in_which_commands_have_no_effect(name: str, ticks: int) -> None:
     assert own.powerless == 0.0
 
 
-def test_swings_take_the_force_difference_first_then_the_torque() -> None:
+def test_swings_take_the_force_difference_first_then_the_torque():
     table, own = bench()
     amplitude = SWING + REACH + 0.4
     left = np.array(told(table, own, swinging(amplitude)))
@@ -150,7 +148,7 @@ def test_swings_take_the_force_difference_first_then_the_torque() -> None:
     assert own.reason == Verdict.SWINGING
 
 
-def test_swings_of_the_torque_alone_take_both_at_once() -> None:
+def test_swings_of_the_torque_alone_take_both_at_once():
     table, own = bench()
     rows = [(*row[:3], 0.0) for row in swinging(SWING + REACH + 0.4)]
     left = np.array(told(table, own, rows))
@@ -170,20 +168,20 @@ def test_swings_of_the_torque_alone_take_both_at_once() -> None:
         ([(r, NAN, u, x) for r, _, u, x in swinging(1.5)], "not seen"),
     ],
 )
-def test_swings_that_are_no_limit_cycle(rows: list[tuple[float, ...]], why: str) -> None:
+def test_swings_that_are_no_limit_cycle(rows, why):
     table, own = bench()
     told(table, own, [(1.0, 1.0, 0.1, 0.0)])
     assert told(table, own, rows) == [row[2:] for row in rows], why
 
 
-def test_a_monitor_that_is_off_changes_nothing() -> None:
+def test_a_monitor_that_is_off_changes_nothing():
     table, own = bench(enabled=0)
     rows = [*swinging(5.0), (0.0, 0.0, 99.0, -99.0)]
     assert told(table, own, rows) == [row[2:] for row in rows]
 
 
 @pytest.mark.parametrize("gone", ["reference", "y"])
-def test_a_missing_input_is_no_motion(gone: str) -> None:
+def test_a_missing_input_is_no_motion(gone):
     table, own = bench()
     told(table, own, [(1.0, 1.0, 1.0, 0.0)])
     rows = [(NAN if gone == "reference" else 1.0, NAN if gone == "y" else 1.1, 1.0, 0.0)] * 90
@@ -194,7 +192,7 @@ def test_a_missing_input_is_no_motion(gone: str) -> None:
 # --- constants -----------------------------------------------------------------------------------
 
 
-def test_the_constants_follow_from_tires_noise_and_car() -> None:
+def test_the_constants_follow_from_tires_noise_and_car():
     monitor = build(DESIGN, TARGET).monitor
     assert monitor.gain_1 == pytest.approx(1.0 / 42.54, rel=1e-3)  # 42.5 N m hold 1 m/s²
     assert monitor.gain_2 == pytest.approx(1.0 / 2989.0, rel=1e-3)
@@ -207,7 +205,7 @@ def test_the_constants_follow_from_tires_noise_and_car() -> None:
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_a_command_at_limit_and_rate_is_within_both_after_rounding(precision: Any) -> None:
+def test_a_command_at_limit_and_rate_is_within_both_after_rounding(precision):
     steep = replace(TARGET, rate_1=7777.7, lsb_1=1e-3, lsb_2=1e-3, precision=precision)
     table = build(DESIGN, steep)
     state, largest = controller.init(table)[0], 0.0
@@ -218,7 +216,7 @@ def test_a_command_at_limit_and_rate_is_within_both_after_rounding(precision: An
     assert largest == pytest.approx(400.0)
 
 
-def test_commands_alone_are_bounded_where_tires_are_unknown_or_rest_is_unstable() -> None:
+def test_commands_alone_are_bounded_where_tires_are_unknown_or_rest_is_unstable():
     tires = build(DESIGN, replace(TARGET, motion_limit=math.inf)).monitor
     pole = ZeroPoleGain((), (2.0, -3.0), 1.0)
     plant = Plant.from_transfer_functions("unstable", pole, pole)
@@ -230,7 +228,7 @@ def test_commands_alone_are_bounded_where_tires_are_unknown_or_rest_is_unstable(
         assert monitor.swing == monitor.astray == math.inf
 
 
-def test_a_monitor_for_several_speeds_suits_each() -> None:
+def test_a_monitor_for_several_speeds_suits_each():
     slow, fast = bench(swing=2.0, gain_1=-3.0)[0], bench(astray=5.0, gain_2=4.0, lag=0.5)[0]
     widen_monitor(slow, [slow, fast])
     assert (slow.swing, slow.astray, slow.lag) == (2.0, 5.0, 1.0)
@@ -273,7 +271,7 @@ def from_end_to_end(_tick: int, y: float) -> tuple[float, float]:
 @pytest.mark.parametrize(
     ("law", "share"), [(stuck_at_limits, 0.5), (with_flipped_sign, 0.5), (from_end_to_end, 1.2)]
 )
-def test_a_law_that_is_broken_is_stopped(law: Law, share: float) -> None:
+def test_a_law_that_is_broken_is_stopped(law, share):
     free, bounded = driven(law, monitor=False), driven(law)
     assert bounded.max() < share * free.max()
     assert bounded[-100:].max() < 0.1
@@ -281,7 +279,7 @@ def test_a_law_that_is_broken_is_stopped(law: Law, share: float) -> None:
 
 
 @pytest.mark.compiled
-def test_the_law_says_what_is_taken_away_and_its_models_follow_what_is_left() -> None:
+def test_the_law_says_what_is_taken_away_and_its_models_follow_what_is_left():
     firmware = Firmware(build(DESIGN, TARGET))
     firmware.begin(at_rest=True)
     waves = 2.5 * np.sin(2.0 * math.pi * TICK_S * np.arange(600))
@@ -295,7 +293,7 @@ def test_the_law_says_what_is_taken_away_and_its_models_follow_what_is_left() ->
 
 
 @pytest.mark.parametrize("latency", [0, pytest.param(1, marks=pytest.mark.compiled)])
-def test_the_law_goes_on_without_the_force_difference(latency: int) -> None:
+def test_the_law_goes_on_without_the_force_difference(latency):
     """Swings of a loop that compensates take the force difference first, and only then the rest."""
     target = replace(TARGET, latency_ticks=latency, on_confirmation=False)
     firmware = Firmware(build(DESIGN, target))
@@ -333,7 +331,7 @@ def flipped(monitor: bool) -> FloatArray:
 
 
 @pytest.mark.compiled
-def test_no_flipped_bit_gets_a_car_farther_than_commands_stuck_at_their_limits() -> None:
+def test_no_flipped_bit_gets_a_car_farther_than_commands_stuck_at_their_limits():
     free, bounded = flipped(False), flipped(True)
     limit = driven(stuck_at_limits).max()
     assert bounded.max() < limit

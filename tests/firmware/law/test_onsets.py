@@ -1,7 +1,5 @@
 """When the onset of a hypothesis is now: to the last number, and with nothing of the last onset."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -45,7 +43,7 @@ def begun(variance: float = 1.0) -> tuple[Any, Any]:
     return table, state
 
 
-def test_what_is_foretold_is_told_with_the_size_of_the_tick_before() -> None:
+def test_what_is_foretold_is_told_with_the_size_of_the_tick_before():
     """Against the densities of white noise; the size is that of a weighted regression."""
     table, state = begun()
     draw = np.random.default_rng(3)
@@ -83,16 +81,14 @@ def test_what_is_foretold_is_told_with_the_size_of_the_tick_before() -> None:
         (1000.0 * BELOW, 8.0, 0.0, False),
     ],
 )
-def test_the_last_number_with_which_a_candidate_is_given_up(
-    age: float, evidence: float, foretold: float, failed: bool
-) -> None:
+def test_the_last_number_with_which_a_candidate_is_given_up(age, evidence, foretold, failed):
     table, state = begun()
     own = state.hypotheses.signatures.rows[OFFSET_ROW].candidate
     own.age, own.evidence, own.foretold = age, evidence, foretold
     assert has_failed(table.hypotheses.signatures.candidate, own) == failed
 
 
-def test_a_candidate_that_begins_knows_nothing_of_the_last() -> None:
+def test_a_candidate_that_begins_knows_nothing_of_the_last():
     _, state = begun()
     own = state.hypotheses.signatures.rows[OFFSET_ROW].candidate
     fresh = own.tobytes()
@@ -103,7 +99,7 @@ def test_a_candidate_that_begins_knows_nothing_of_the_last() -> None:
 
 
 @pytest.mark.parametrize("name", ["torque_offset", "force_lost"])
-def test_a_fault_of_an_actuator_begins_again_where_its_onset_was_none(name: str) -> None:
+def test_a_fault_of_an_actuator_begins_again_where_its_onset_was_none(name):
     """And what channel 2 was told, and did not do, is counted from the same onset."""
     table, state = begun()
     own = state.hypotheses.signatures
@@ -116,7 +112,7 @@ def test_a_fault_of_an_actuator_begins_again_where_its_onset_was_none(name: str)
     assert (own.commanded == own.missing == own.before == 0.0) == (name == "force_lost")
 
 
-def test_the_evidence_of_before_is_that_at_the_last_onset_of_a_loss_of_channel_1() -> None:
+def test_the_evidence_of_before_is_that_at_the_last_onset_of_a_loss_of_channel_1():
     table, state = begun()
     own, evidence = state.hypotheses.signatures, []
     for age in (4.0, 0.0, 1.0, 2.0):
@@ -128,7 +124,7 @@ def test_the_evidence_of_before_is_that_at_the_last_onset_of_a_loss_of_channel_1
     assert evidence == sorted(set(evidence))
 
 
-def test_what_channel_2_was_told_and_what_of_it_is_missing() -> None:
+def test_what_channel_2_was_told_and_what_of_it_is_missing():
     """By scipy's model of the channel: Σ (G2 u2)² and Σ G2 u2 d̂."""
     table, state = begun()
     table.hypotheses.signatures.candidate.restart = -math.inf
@@ -145,15 +141,13 @@ def test_what_channel_2_was_told_and_what_of_it_is_missing() -> None:
 
 
 @pytest.mark.parametrize(("missing", "gone"), [(0.5, False), (2.0, False), (2.01, True)])
-def test_channel_2_answers_no_more_where_more_than_half_is_missing(
-    missing: float, gone: bool
-) -> None:
+def test_channel_2_answers_no_more_where_more_than_half_is_missing(missing, gone):
     own = begun()[1].hypotheses.signatures
     own.commanded, own.missing = 4.0, missing
     assert answers_no_more(own) == gone
 
 
-def test_an_offset_takes_away_from_a_plant_that_answers_at_once_too() -> None:
+def test_an_offset_takes_away_from_a_plant_that_answers_at_once_too():
     table, state = begun()
     table.estimator.channel_1.n = 1
     table.estimator.channel_1.coefficients[0] = 0.5, 0.0, 0.0, 0.0, 0.0
@@ -168,8 +162,8 @@ def test_an_offset_takes_away_from_a_plant_that_answers_at_once_too() -> None:
     [(0.9, 0.0, False), (1.1, 0.0, True), (0.9, -2.0, True), (1.1, -2.0, True)],
 )
 def test_a_sensor_errs_from_now_on_where_this_tick_alone_explains_more(
-    name: str, fresh: float, foretold: float, begins: bool
-) -> None:
+    name, fresh, foretold, begins
+):
     """Than the evidence of 1, about which so much is known that a tick adds nothing.
 
     Or where the onset was none. From rest M shows β0 of it at once.
@@ -195,7 +189,7 @@ def test_a_sensor_errs_from_now_on_where_this_tick_alone_explains_more(
         assert own.rows[DRIFT_ROW].ramp == (-1.0 if begins else -10.0)
 
 
-def test_a_tick_that_explains_as_much_as_all_before_is_no_onset() -> None:
+def test_a_tick_that_explains_as_much_as_all_before_is_no_onset():
     """Of 1, 0, 0, 1 a bias of a half explains ½ · 2²/4, and the last alone ½ · 1²."""
     table, state = begun()
     for new in (1.0, 0.0, 0.0, 1.0):
@@ -209,8 +203,8 @@ def test_a_tick_that_explains_as_much_as_all_before_is_no_onset() -> None:
     [(0.25, False), (0.25 * ABOVE, True), (-0.25, False), (-0.25 * ABOVE, True), (0.0, False)],
 )
 def test_a_repetition_tells_something_where_the_model_has_moved_by_more_than_the_least(
-    moved: float, tells: bool
-) -> None:
+    moved, tells
+):
     """Either way, since the number came, and no longer than it has; of a d̂ that has not moved."""
     table, state = begun(variance=0.04)
     constants, own = table.hypotheses.frozen, state.hypotheses.frozen
@@ -232,7 +226,7 @@ def test_a_repetition_tells_something_where_the_model_has_moved_by_more_than_the
     assert own.candidate.tobytes() == fresh.tobytes()
 
 
-def test_of_a_plant_that_is_not_stable_no_motion_is_missing() -> None:
+def test_of_a_plant_that_is_not_stable_no_motion_is_missing():
     """There the model says M y, which is not where y is: only the repetitions count."""
     table, state = begun()
     table.estimator.measurement.n = 1

@@ -1,7 +1,5 @@
 """What other cars show: the difference of both channels, by scipy's filters."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -57,7 +55,7 @@ def random_commands(ticks: int) -> FloatArray:
 
 
 @pytest.mark.parametrize("parameters", [0, 1, 2, 3, 4])
-def test_x_is_what_both_channels_of_the_car_make_otherwise(parameters: int) -> None:
+def test_x_is_what_both_channels_of_the_car_make_otherwise(parameters):
     mismatch, commands = other_cars(parameters), random_commands(300)
     table = table_of(mismatch)
     assert len(mismatch.cars) == table.other_cars.n == parameters
@@ -70,7 +68,7 @@ def test_x_is_what_both_channels_of_the_car_make_otherwise(parameters: int) -> N
 
 
 @pytest.mark.parametrize("parameters", [0, 2, 4])
-def test_settled_cars_stay_and_cleared_cars_rest(parameters: int) -> None:
+def test_settled_cars_stay_and_cleared_cars_rest(parameters):
     mismatch = other_cars(parameters)
     table = table_of(mismatch)
     state = controller.init(table)[0]
@@ -93,7 +91,7 @@ def test_settled_cars_stay_and_cleared_cars_rest(parameters: int) -> None:
 @pytest.mark.compiled
 @pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
 @pytest.mark.parametrize("latency", [0, 1, 3])
-def test_commands_drive_them_when_they_act_and_lost_ones_do_not(latency: int, share: float) -> None:
+def test_commands_drive_them_when_they_act_and_lost_ones_do_not(latency, share):
     """A loss of ``share`` known from tick 100 on; missing inputs in five ticks, held in between."""
     mismatch, lost, ticks = other_cars(2), 100, 200
     tables = changed(table_of(mismatch, latency), decision=NEVER)
@@ -113,7 +111,7 @@ def test_commands_drive_them_when_they_act_and_lost_ones_do_not(latency: int, sh
     np.testing.assert_allclose(np.array(rows).T, expected, atol=1e-9 * np.abs(expected).max())
 
 
-def test_what_command_2_makes_within_the_tick_is_that_of_the_held_one() -> None:
+def test_what_command_2_makes_within_the_tick_is_that_of_the_held_one():
     """By Tustin's rule G2 feeds through, and d̂ is judged before this tick's command 2 is known."""
     of = Target(TICK_S, 0, noise_rms=0.01, mismatch=other_cars(1))
     tables = changed(build(DESIGN, of), decision=NEVER)

@@ -1,7 +1,5 @@
 """What other plants show where the model is not stable: each explains its own output."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -68,9 +66,7 @@ def drive(
 @pytest.mark.compiled
 @pytest.mark.parametrize("differs", [(1.03, 0.97, 1.0), (1.02, 1.01, 1.04)])
 @pytest.mark.parametrize("model", PLANTS, ids=lambda plant: plant.name)
-def test_a_plant_that_is_one_of_them_shows_what_is_expected_of_it(
-    model: Plant, differs: tuple[float, float, float]
-) -> None:
+def test_a_plant_that_is_one_of_them_shows_what_is_expected_of_it(model, differs):
     """M_i y = N1_i u1 + N2_i u2, so d̂ is -x_i, of the first tick on."""
     car = other(model, *differs)
     plant = Plant.from_transfer_functions("other", *car)
@@ -80,7 +76,7 @@ def test_a_plant_that_is_one_of_them_shows_what_is_expected_of_it(
 
 
 @pytest.mark.parametrize("model", PLANTS, ids=lambda plant: plant.name)
-def test_they_go_on_where_measurements_are_missing(model: Plant) -> None:
+def test_they_go_on_where_measurements_are_missing(model):
     """y of a missing tick is the one that the model expects."""
     cars = (other(model, 1.0, 1.0, 1.05), other(model, 1.05, 0.95, 1.0))
     (_, u1, u2, y), shown = drive(model, cars, model, range(80, 95))
@@ -101,9 +97,7 @@ def test_they_go_on_where_measurements_are_missing(model: Plant) -> None:
 
 @pytest.mark.parametrize("reference", [1.0, math.nan])
 @pytest.mark.parametrize("share", [0.0, 1.0])
-def test_an_unstable_plant_is_expected_where_what_is_not_lost_takes_it(
-    share: float, reference: float
-) -> None:
+def test_an_unstable_plant_is_expected_where_what_is_not_lost_takes_it(share, reference):
     """M y = N1 u1 + N2 u2 - s w, at which d̂ is the known loss."""
     table = build(design(PENDULUM, SPECIFICATION), Target(TICK_S, 0, "zoh"))
     state = controller.init(table)[0]

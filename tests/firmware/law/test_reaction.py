@@ -1,7 +1,5 @@
 """What the controller does about a fault that is not the torque's: commands and bumps."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -21,7 +19,7 @@ def started(on_confirmation: bool = True, **changes: float) -> tuple[Any, Any]:
     return table, controller.init(table)[0]
 
 
-def test_without_noise_a_number_that_is_repeated_tells_nothing() -> None:
+def test_without_noise_a_number_that_is_repeated_tells_nothing():
     for noise_rms, told in ((0.01, True), (0.0, False)):
         table = build(DESIGN, Target(TICK_S, 1, "zoh", noise_rms=noise_rms))
         assert math.isfinite(table.hypotheses.frozen.least_motion) == told
@@ -29,7 +27,7 @@ def test_without_noise_a_number_that_is_repeated_tells_nothing() -> None:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("verdict", [Verdict.FORCE_LOST, Verdict.SENSOR_DRIFTING])
-def test_no_verdict_takes_away_the_compensation_on_d_hat(verdict: Verdict) -> None:
+def test_no_verdict_takes_away_the_compensation_on_d_hat(verdict):
     """The verdict may be wrong, and d̂ the loss that is compensated."""
     forces = []
     for found in (Verdict.NOTHING, verdict):

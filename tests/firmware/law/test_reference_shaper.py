@@ -1,7 +1,5 @@
 """The shaped reference: minimum time, within its limit, and the reference itself if that fits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -54,7 +52,7 @@ def fewest_ticks(distance: float) -> int:
 
 
 @given(st.floats(1e-6, 1e4))
-def test_from_the_braking_speed_equal_decrements_end_at_the_target(distance: float) -> None:
+def test_from_the_braking_speed_equal_decrements_end_at_the_target(distance):
     """A decrement a tick, and the last decrement is no larger than the others."""
     speeds = [braking_speed(distance)]
     while speeds[-1] > 1.0:
@@ -65,9 +63,7 @@ def test_from_the_braking_speed_equal_decrements_end_at_the_target(distance: flo
 
 @pytest.mark.compiled
 @given(st.floats(1e-6, 1e4), st.booleans(), st.floats(-100.0, 100.0))
-def test_a_step_is_followed_in_minimum_time_and_not_beyond(
-    distance: float, down: bool, at: float
-) -> None:
+def test_a_step_is_followed_in_minimum_time_and_not_beyond(distance, down, at):
     to = at + math.copysign(distance * LARGEST, -1.0 if down else 1.0)
     ticks = fewest_ticks(abs(to - at) / LARGEST * (1.0 - 1e-9))
     shaped = follow(np.full(ticks + 50, to), at)
@@ -80,20 +76,20 @@ def test_a_step_is_followed_in_minimum_time_and_not_beyond(
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=60))
-def test_no_reference_makes_it_faster_than_its_limit(values: list[float]) -> None:
+def test_no_reference_makes_it_faster_than_its_limit(values):
     reference = np.repeat(values, 7)
     assert np.abs(changes_of_speed(follow(reference))).max() <= LARGEST + 1e-11
 
 
 @given(st.lists(st.floats(-LARGEST, LARGEST), min_size=1, max_size=300))
-def test_a_reference_within_the_limit_comes_through_exactly(accelerations: list[float]) -> None:
+def test_a_reference_within_the_limit_comes_through_exactly(accelerations):
     reference = np.cumsum(np.cumsum(np.array(accelerations) * (1.0 - 1e-9)))
     np.testing.assert_array_equal(follow(reference), reference)
 
 
 @pytest.mark.compiled
 @given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=20), st.floats(-50.0, 50.0))
-def test_comes_to_rest_wherever_it_is_sent(before: list[float], last: float) -> None:
+def test_comes_to_rest_wherever_it_is_sent(before, last):
     shaped = follow(np.concatenate([before, np.full(2000, last)]))
     assert (shaped[-1000:] == last).all()
 
@@ -101,7 +97,7 @@ def test_comes_to_rest_wherever_it_is_sent(before: list[float], last: float) -> 
 @pytest.mark.compiled
 @settings(max_examples=20)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20))
-def test_single_precision_runs_the_same_course(values: list[float]) -> None:
+def test_single_precision_runs_the_same_course(values):
     single = build(
         design(CAR, DesignSpecification()),
         Target(TICK_S, reference_acceleration=LARGEST / TICK_S**2, precision="float32"),
@@ -124,7 +120,7 @@ def limited_table(torque_nm: float, share: float):  # type: ignore[no-untyped-de
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("torque_nm", [200.0, 400.0, 1000.0])
-def test_a_raw_step_keeps_off_the_limit_of_the_torque(torque_nm: float) -> None:
+def test_a_raw_step_keeps_off_the_limit_of_the_torque(torque_nm):
     """With half of the limit for r̈, where without shaping the loop hits both limits."""
     plant, step = sample(CAR, TICK_S), np.ones(3000)
     shaped = simulate(limited_table(torque_nm, 0.5), plant, step)
@@ -137,14 +133,14 @@ def test_a_raw_step_keeps_off_the_limit_of_the_torque(torque_nm: float) -> None:
 
 
 @pytest.mark.compiled
-def test_a_gentle_reference_gets_the_commands_of_the_loop_without_shaping() -> None:
+def test_a_gentle_reference_gets_the_commands_of_the_loop_without_shaping():
     plant, t = sample(CAR, TICK_S), TICK_S * np.arange(3000)
     gentle = 1.0 - np.cos(5.0 * t)
     with_it, without = (simulate(limited_table(400.0, s), plant, gentle) for s in (0.5, math.inf))
     np.testing.assert_array_equal(with_it.command_1, without.command_1)
 
 
-def test_an_overflow_leaves_the_shaper_working() -> None:
+def test_an_overflow_leaves_the_shaper_working():
     table = limited_table(400.0, 0.5)
     states = controller.init(table)
     for reference in (1.7e308, -1.7e308, 0.0, 0.0):

@@ -1,7 +1,5 @@
 """Steady states and what disturbs them: reset, input that is no number, overflow."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
-from firmware_model.design.mismatch import TRUSTED, Mismatch
+from firmware_model.design.mismatch import TRUSTED
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
@@ -25,7 +23,7 @@ OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_a_reference_that_is_no_number_holds_the_last_good_command(bad: float) -> None:
+def test_a_reference_that_is_no_number_holds_the_last_good_command(bad):
     table = build(DESIGN, Target(1e-3, estimator="zoh"))
     plant = sample(CAR, 1e-3)
     healthy, dropout = np.ones(1500), np.zeros(1500)
@@ -50,9 +48,7 @@ def test_a_reference_that_is_no_number_holds_the_last_good_command(bad: float) -
 @pytest.mark.compiled
 @pytest.mark.parametrize("mismatch", [TRUSTED, other_cars(2)], ids=["trusted", "other cars"])
 @pytest.mark.parametrize("overflow", [1.7e308, -1.7e308])
-def test_an_overflow_of_the_measurement_leaves_a_confirmed_loss_compensated(
-    overflow: float, mismatch: Mismatch
-) -> None:
+def test_an_overflow_of_the_measurement_leaves_a_confirmed_loss_compensated(overflow, mismatch):
     """F1, w and F̂ follow commands, which are finite: only C, that sees D*, begins anew."""
     target = Target(
         1e-3, 1, "zoh", limit_1=400.0, limit_2=1e4, mismatch=mismatch, on_confirmation=True
@@ -73,7 +69,7 @@ def test_an_overflow_of_the_measurement_leaves_a_confirmed_loss_compensated(
 
 @pytest.mark.parametrize("reference", [1.0, -0.4, 0.0])
 @pytest.mark.parametrize("latency", [0, 2])
-def test_reset_to_steady_state_repeats_the_settled_commands(reference: float, latency: int) -> None:
+def test_reset_to_steady_state_repeats_the_settled_commands(reference, latency):
     firmware = Firmware(build(DESIGN, Target(1e-3, latency, "zoh")))
     firmware.step(0.3, 0.1)
     firmware.reset(reference)
@@ -84,7 +80,7 @@ def test_reset_to_steady_state_repeats_the_settled_commands(reference: float, la
         assert answer.fault_estimate == pytest.approx(0.0, abs=1e-9)
 
 
-def test_reset_of_the_open_loop() -> None:
+def test_reset_of_the_open_loop():
     firmware = Firmware(build(OPEN_LOOP, Target(1e-3)))
     firmware.reset(2.0)
     y = 2.0 * (chapter_2().g1.dc_gain + chapter_2().g2.dc_gain)

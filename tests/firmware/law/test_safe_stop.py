@@ -1,7 +1,5 @@
 """Both actuators are lost: the commands go to zero in a straight line, and stay there."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -40,7 +38,7 @@ def commands(table: Any, state: Any, ticks: int, y: float = 0.3) -> np.ndarray:
 
 
 @pytest.mark.parametrize("y", [0.3, math.nan])
-def test_they_go_to_zero_in_a_straight_line_whatever_is_measured(y: float) -> None:
+def test_they_go_to_zero_in_a_straight_line_whatever_is_measured(y):
     table, state = lost()
     found = commands(table, state, TICKS + 5, y)
     line = np.maximum(1.0 - np.arange(1, TICKS + 6) / TICKS, 0.0)
@@ -49,7 +47,7 @@ def test_they_go_to_zero_in_a_straight_line_whatever_is_measured(y: float) -> No
     assert (found[:, TICKS:] == 0.0).all()
 
 
-def test_a_resolution_and_a_rate_are_kept_to_on_the_way() -> None:
+def test_a_resolution_and_a_rate_are_kept_to_on_the_way():
     table, state = lost(lsb_1=0.01, lsb_2=0.5, rate_2=5000.0)
     torque, force = commands(table, state, 100)
     assert np.abs(torque[:TICKS] - 8.0 * (1.0 - np.arange(1, TICKS + 1) / TICKS)).max() < 0.011
@@ -57,7 +55,7 @@ def test_a_resolution_and_a_rate_are_kept_to_on_the_way() -> None:
     assert torque[-1] == force[-1] == 0.0
 
 
-def test_without_a_duration_the_verdict_changes_no_command() -> None:
+def test_without_a_duration_the_verdict_changes_no_command():
     found = []
     for verdict in (Verdict.NOTHING, Verdict.BOTH_LOST):
         table, state = lost(0.0)
@@ -77,9 +75,7 @@ def test_without_a_duration_the_verdict_changes_no_command() -> None:
         (FaultState.SUSPECTED, Verdict.FORCE_LOST, 0.0, Mode.RUN),
     ],
 )
-def test_a_lost_torque_and_commands_without_effect_stop(
-    fault_state: FaultState, verdict: Verdict, missing: float, mode: Mode
-) -> None:
+def test_a_lost_torque_and_commands_without_effect_stop(fault_state, verdict, missing, mode):
     table, state = lost()
     assert table.safe_stop.certain == pytest.approx(0.3 / TICK_S)
     state.fault_state, state.hypotheses.verdict = fault_state, verdict
@@ -89,7 +85,7 @@ def test_a_lost_torque_and_commands_without_effect_stop(
     assert (state.hypotheses.verdict == Verdict.BOTH_LOST) == (mode == Mode.SAFE_STOP)
 
 
-def test_it_ends_with_a_reset_and_begins_anew() -> None:
+def test_it_ends_with_a_reset_and_begins_anew():
     table, state = lost()
     commands(table, state, 7)
     controller.reset(table, state, 0.0)
@@ -103,6 +99,6 @@ def test_it_ends_with_a_reset_and_begins_anew() -> None:
 
 
 @pytest.mark.parametrize("duration_s", [-1.0, math.inf, math.nan])
-def test_a_duration_must_be_a_time(duration_s: float) -> None:
+def test_a_duration_must_be_a_time(duration_s):
     with pytest.raises(ParameterError, match=r"safe_stop_s = .*: must be finite and 0 or above"):
         Target(TICK_S, safe_stop_s=duration_s)

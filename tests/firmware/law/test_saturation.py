@@ -1,7 +1,5 @@
 """Commands that an actuator can follow: saturated in magnitude and rate, without wind-up."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -26,7 +24,7 @@ def _drive(firmware: Firmware, reference: np.ndarray, y: np.ndarray) -> np.ndarr
 
 @pytest.mark.compiled
 @given(y=st.lists(st.floats(-1.0, 1.0), min_size=5, max_size=40))
-def test_algebraic_loop_is_solved_under_saturation(y: list[float]) -> None:
+def test_algebraic_loop_is_solved_under_saturation(y):
     """u2 = sat(F̂'s answer to the d̂ that this very u2 gives), tick by tick, but for a make-up."""
     limit = 200.0
     target = Target(1e-3, limit_2=limit)
@@ -48,7 +46,7 @@ def test_algebraic_loop_is_solved_under_saturation(y: list[float]) -> None:
     rule=st.sampled_from(["tustin", "tustin-held", "zoh"]),
     limit=st.floats(1.0, 1e4),
 )
-def test_no_command_leaves_its_limits(latency: int, rule: str, limit: float) -> None:
+def test_no_command_leaves_its_limits(latency, rule, limit):
     target = Target(1e-3, latency, rule, limit_1=limit, limit_2=limit)  # type: ignore[arg-type]
     trace = simulate(build(DESIGN, target), sample(CAR, 1e-3), np.ones(300))
     assert np.abs(trace.command_1).max() <= limit
@@ -56,7 +54,7 @@ def test_no_command_leaves_its_limits(latency: int, rule: str, limit: float) -> 
 
 
 @pytest.mark.compiled
-def test_rates_are_limited_and_the_estimator_knows() -> None:
+def test_rates_are_limited_and_the_estimator_knows():
     slow = design(CAR, DesignSpecification(tau_s=0.02, tau_q_s=0.02, alpha_q=3))
     table = build(slow, Target(1e-3, 1, "zoh", rate_1=2000.0, rate_2=5e4))
     left = np.ones((3000, 2))
@@ -69,7 +67,7 @@ def test_rates_are_limited_and_the_estimator_knows() -> None:
 
 
 @pytest.mark.parametrize("limited", [1, 2])
-def test_the_rate_of_either_channel_is_limited_alone(limited: int) -> None:
+def test_the_rate_of_either_channel_is_limited_alone(limited):
     """d̂ follows a step of D* within the tick, and so do both commands, but for the limited one."""
     rate = {1: 2000.0, 2: 5e4}[limited]
     target = Target(1e-3, estimator="zoh", **{f"rate_{limited}": rate})  # type: ignore[arg-type]

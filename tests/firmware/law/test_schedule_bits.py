@@ -1,7 +1,5 @@
 """Tables blended and states turned have the same bits compiled and interpreted."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Iterator
@@ -35,7 +33,7 @@ def digests(precision: Precision) -> Iterator[str]:
 
 
 @pytest.mark.compiled
-def test_a_drive_is_bit_identical_compiled_and_interpreted() -> None:
+def test_a_drive_is_bit_identical_compiled_and_interpreted():
     outputs = lines_compiled_and_interpreted(__file__)
     assert len(set(outputs[0])) == len(PRECISIONS) * TICKS
     assert outputs[0] == outputs[1]

@@ -1,7 +1,5 @@
 """A sensor's error that has been found is taken out of d̂ as if it had never been in it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -58,7 +56,7 @@ def filtered(table: Any, state: Any, residual: FloatArray, x: FloatArray) -> lis
 
 @pytest.mark.parametrize("lags", [False, True])
 @pytest.mark.parametrize("name", ["sensor_biased", "sensor_drifting"])
-def test_what_follows_is_what_would_have_been_without_the_error(name: str, lags: bool) -> None:
+def test_what_follows_is_what_would_have_been_without_the_error(name, lags):
     """Innovations, θ and gains: the filter has forgotten the error, and gets none any more."""
     table = table_of(mismatch=other_cars(3), noise_pole=0.6)
     if lags:
@@ -109,7 +107,7 @@ def test_what_follows_is_what_would_have_been_without_the_error(name: str, lags:
         ([-0.1, 0.06], True),
     ],
 )
-def test_an_error_is_gone_where_less_than_half_is_left(sizes: list[float], gone: bool) -> None:
+def test_an_error_is_gone_where_less_than_half_is_left(sizes, gone):
     table = table_of()
     state = controller.init(table)[0]
     biased = state.hypotheses.signatures.rows[BIAS_ROW]
@@ -122,7 +120,7 @@ def test_an_error_is_gone_where_less_than_half_is_left(sizes: list[float], gone:
     assert state.hypotheses.sensor_error.offset == pytest.approx(0.0 if gone else sum(sizes))
 
 
-def test_lags_of_these_tests_are_those_of_the_section() -> None:
+def test_lags_of_these_tests_are_those_of_the_section():
     table = with_lags(table_of())
     memory, u = biquad.at_rest(), np.random.default_rng(1).standard_normal(30)
     m = table.estimator.measurement

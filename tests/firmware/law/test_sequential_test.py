@@ -5,8 +5,6 @@ covariance that noise and another car give it, and scipy says how likely it is w
 what a loss would add.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -83,7 +81,7 @@ def lost_output(run: Run, latency: int, start: int) -> FloatArray:
 
 @pytest.mark.parametrize("start", [0, 17])
 @pytest.mark.parametrize("latency", [0, 1, 3, 8])
-def test_on_a_trusted_model_it_is_that_of_white_noise(latency: int, start: int) -> None:
+def test_on_a_trusted_model_it_is_that_of_white_noise(latency, start):
     tables = changed(build(DESIGN, target(latency)), **FOR_EVER)
     run = drive(tables, 0.01 * np.random.default_rng(1).standard_normal(60), (start,))
     signature = SHARE * lost_output(run, latency, start)
@@ -98,9 +96,7 @@ def test_on_a_trusted_model_it_is_that_of_white_noise(latency: int, start: int) 
 @pytest.mark.parametrize("latency", [0, 1, 3])
 @pytest.mark.parametrize("start", [0, 17])
 @pytest.mark.parametrize("colour", [0.0, 0.6])
-def test_with_other_cars_it_is_that_of_all_data_at_once(
-    colour: float, start: int, latency: int
-) -> None:
+def test_with_other_cars_it_is_that_of_all_data_at_once(colour, start, latency):
     """Cov(xᵀθ of two ticks) from θ's own steps; whitened data, because its noise is coloured."""
     of = target(latency, other_cars(2), noise_pole=colour)
     table = build(DESIGN, of)
@@ -137,9 +133,7 @@ def test_with_other_cars_it_is_that_of_all_data_at_once(
 @pytest.mark.compiled
 @pytest.mark.parametrize("mismatch", [TRUSTED, other_cars(2)], ids=["trusted", "other cars"])
 @pytest.mark.parametrize("colour", [0.0, 0.8])
-def test_noise_takes_a_candidate_beyond_h_as_seldom_as_wald_says(
-    colour: float, mismatch: Mismatch
-) -> None:
+def test_noise_takes_a_candidate_beyond_h_as_seldom_as_wald_says(colour, mismatch):
     """At most e^-h of the candidates; three deviations of the count more are chance."""
     ticks = 200_000
     draw = np.random.default_rng(3)
@@ -158,9 +152,7 @@ def test_noise_takes_a_candidate_beyond_h_as_seldom_as_wald_says(
 @pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1, 3, 8])
 @pytest.mark.parametrize("left", [0.0, 0.5])
-def test_without_noise_a_loss_is_found_at_its_first_sample_and_so_is_its_share(
-    left: float, latency: int
-) -> None:
+def test_without_noise_a_loss_is_found_at_its_first_sample_and_so_is_its_share(left, latency):
     """The tick of the loss is the last whose sample is still whole."""
     lost, back, ticks = 300, 2300, 2600
     table = build(DESIGN, target(latency, noise_rms=0.0, on_confirmation=True))
@@ -177,7 +169,7 @@ def test_without_noise_a_loss_is_found_at_its_first_sample_and_so_is_its_share(
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("left", [0.0, 0.3, 0.6])
-def test_the_share_is_the_part_of_the_torque_that_is_lost(left: float) -> None:
+def test_the_share_is_the_part_of_the_torque_that_is_lost(left):
     """Least squares over all ticks since the start, for a candidate that knows the moment."""
     lost, ticks = 40, 400
     tables = changed(build(DESIGN, target(0)), **FOR_EVER)
@@ -195,7 +187,7 @@ def test_the_share_is_the_part_of_the_torque_that_is_lost(left: float) -> None:
     assert shares == pytest.approx(1.0 - left, abs=0.02)
 
 
-def test_a_candidate_is_as_old_as_the_ticks_that_it_has_seen() -> None:
+def test_a_candidate_is_as_old_as_the_ticks_that_it_has_seen():
     tables = changed(build(DESIGN, target()), **FOR_EVER)
     state, ages = controller.init(tables[0])[0], []
     for k in range(8):
@@ -207,7 +199,7 @@ def test_a_candidate_is_as_old_as_the_ticks_that_it_has_seen() -> None:
 
 
 @pytest.mark.parametrize("latency", [0, 1, 3])
-def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency: int) -> None:
+def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency):
     """The pulse response of G1, by scipy; the next command stands for a forgotten command."""
     start, ticks = 17, 60
     table = build(DESIGN, target(latency))
@@ -226,7 +218,7 @@ def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency: int
     np.testing.assert_allclose(answers[start:], expected[start:], rtol=1e-6)
 
 
-def test_evidence_that_overflowed_begins_again() -> None:
+def test_evidence_that_overflowed_begins_again():
     tables: NDArray[Any] = changed(build(DESIGN, target()), decision=NEVER)
     state = controller.init(tables[0])[0]
     state.sequential_test.evidence = math.nan
@@ -247,8 +239,8 @@ def test_evidence_that_overflowed_begins_again() -> None:
     ],
 )
 def test_a_candidate_twice_as_old_that_has_learnt_little_is_stale(
-    age: float, half_age: float, information: float, half_information: float, stale: bool
-) -> None:
+    age, half_age, information, half_information, stale
+):
     numbers = {"freshness": 0.1, "needed": 24.0}
     table = changed(build(DESIGN, Target(TICK_S, 1, "zoh")), sequential_test=numbers)[0]
     test = controller.init(table)[0].sequential_test

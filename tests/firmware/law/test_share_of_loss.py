@@ -1,7 +1,5 @@
 """Share and moment of a loss after its confirmation, and what the loss had taught about the car."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -65,9 +63,7 @@ def learn(table: Any, state: Any, residuals: FloatArray, share: float) -> None:
 @pytest.mark.compiled
 @settings(max_examples=10)
 @given(share=st.floats(-1.0, 1.0), seed=st.integers(0, 2**32 - 1))
-def test_what_is_forgotten_leaves_what_a_filter_without_the_loss_knows(
-    share: float, seed: int
-) -> None:
+def test_what_is_forgotten_leaves_what_a_filter_without_the_loss_knows(share, seed):
     healthy = 0.05 * np.random.default_rng(seed).standard_normal(TICKS)
     table, ours = learner()
     _, without = learner()
@@ -82,7 +78,7 @@ def test_what_is_forgotten_leaves_what_a_filter_without_the_loss_knows(
 
 
 @pytest.mark.parametrize("share", [0.4, 1.0])
-def test_a_car_that_is_the_model_is_that_again_once_its_loss_is_confirmed(share: float) -> None:
+def test_a_car_that_is_the_model_is_that_again_once_its_loss_is_confirmed(share):
     """With the share that least squares finds; and once more when the channel comes back."""
     table, state = learner()
     learn(table, state, share * W, 0.8)
@@ -114,8 +110,8 @@ def test_a_car_that_is_the_model_is_that_again_once_its_loss_is_confirmed(share:
     ],
 )
 def test_the_doubt_about_a_loss_is_what_the_evidence_leaves_of_it(
-    information: float, suspect: float, variance: float, happens: Any
-) -> None:
+    information, suspect, variance, happens
+):
     """9 over Σ f²/S, 1 over the variance of the least squares; 0.04 at least, 0.09 at most.
 
     About the moment it is half of the time that the confirmation took.
@@ -132,9 +128,7 @@ def test_the_doubt_about_a_loss_is_what_the_evidence_leaves_of_it(
 @pytest.mark.compiled
 @pytest.mark.parametrize("off", [0.4, -0.4])
 @pytest.mark.parametrize("latency", [0, 2])
-def test_a_share_that_is_off_at_its_confirmation_is_right_a_second_later(
-    latency: int, off: float
-) -> None:
+def test_a_share_that_is_off_at_its_confirmation_is_right_a_second_later(latency, off):
     """A torque channel with half of its effect, taken for 0.1 or 0.9 of it."""
     lost, rms = 300, 0.02
     of = Target(TICK_S, latency, "zoh", noise_rms=rms, on_confirmation=True)
@@ -165,9 +159,7 @@ def test_a_share_that_is_off_at_its_confirmation_is_right_a_second_later(
 @pytest.mark.parametrize("latency", [0, 1])
 @pytest.mark.parametrize("rms", [5e-3, 1e-3, 1e-4])
 @pytest.mark.parametrize("road", ["bend", "curves", "turns"])
-def test_a_trusted_model_keeps_a_confirmed_loss_for_ever(
-    road: str, rms: float, latency: int
-) -> None:
+def test_a_trusted_model_keeps_a_confirmed_loss_for_ever(road, rms, latency):
     """20 s in three drives: what was off about the loss's moment stays where the car moves too."""
     ticks, lost = 21_000, 1000
     at_s = TICK_S * np.arange(ticks)

@@ -1,7 +1,5 @@
 """What an actuator could not do: how the next commands make up for it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +30,7 @@ def driven(of: Target, makes_up: bool, reference: FloatArray, **how: FloatArray)
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("rate", [1000.0, 5000.0, 50_000.0, np.inf])
-def test_what_a_limit_took_is_given_back(rate: float) -> None:
+def test_what_a_limit_took_is_given_back(rate):
     """The squares of what D* misses are fewer, whatever the rate, and nothing swings."""
     limit, step = 60.0, np.ones(4000)  # 42.5 hold 1 m/s²
     of = Target(TICK_S, LATENCY, "zoh", limit_1=limit, rate_1=rate, on_confirmation=True)
@@ -46,7 +44,7 @@ def test_what_a_limit_took_is_given_back(rate: float) -> None:
 
 
 @pytest.mark.compiled
-def test_a_saturated_loss_is_made_up_when_the_demand_is_feasible() -> None:
+def test_a_saturated_loss_is_made_up_when_the_demand_is_feasible():
     """1 m/s² takes 3 kN: 2.5 kN miss the demand, and 0.5 m/s² is feasible again."""
     free = Target(TICK_S, LATENCY, "zoh", on_confirmation=True)
     of = replace(free, limit_2=2500.0)
@@ -91,7 +89,7 @@ def stalled(
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 3])
-def test_commands_that_came_too_late_are_made_up_for(latency: int) -> None:
+def test_commands_that_came_too_late_are_made_up_for(latency):
     lost = range(1000, 1020)
     made_up, alone = (np.abs(stalled(lost, tell, latency)[1000:] - 1.0) for tell in (True, False))
     unavoidable = made_up[: 20 + latency].max()
@@ -103,7 +101,7 @@ def test_commands_that_came_too_late_are_made_up_for(latency: int) -> None:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 3])
-def test_a_lost_motor_stays_lost_while_commands_come_too_late(latency: int) -> None:
+def test_a_lost_motor_stays_lost_while_commands_come_too_late(latency):
     lost = range(1000, 1020)
     away = np.abs(stalled(lost, True, latency, dead_from=600)[1000:] - 1.0)
     unavoidable = away[: 20 + latency].max()

@@ -1,7 +1,5 @@
 """The law line by line in runs of a few dozen ticks: scipy's filters of its own commands."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -62,7 +60,7 @@ def of(target: Target, **changes: Any) -> tuple[Any, Any, Filters]:
 
 @pytest.mark.parametrize("latency", [0, 2])
 @pytest.mark.parametrize("rule", FEEDING)
-def test_the_decision_sees_the_residual_and_what_both_models_add(rule: Any, latency: int) -> None:
+def test_the_decision_sees_the_residual_and_what_both_models_add(rule, latency):
     """With feedthrough the held command 2 counts, because this tick's command is unknown."""
     table, state, filters = of(Target(TICK_S, latency, rule))
     told = run(table, state)
@@ -81,9 +79,7 @@ def test_the_decision_sees_the_residual_and_what_both_models_add(rule: Any, late
 
 @pytest.mark.parametrize("on_confirmation", [False, True])
 @pytest.mark.parametrize("latency", [0, 2])
-def test_what_channel_2_cannot_do_is_missing_in_the_measurement(
-    latency: int, on_confirmation: bool
-) -> None:
+def test_what_channel_2_cannot_do_is_missing_in_the_measurement(latency, on_confirmation):
     """G2 of asked - possible, which C then does not take for its own error."""
     limit = 300.0 if on_confirmation else 2000.0
     target = Target(TICK_S, latency, "zoh", limit_2=limit, on_confirmation=on_confirmation)
@@ -109,7 +105,7 @@ def test_what_channel_2_cannot_do_is_missing_in_the_measurement(
 
 
 @pytest.mark.parametrize("rule", ["zoh", "tustin"])
-def test_a_make_up_of_channel_2_comes_on_top_of_f_hat_s_answer_to_it(rule: Any) -> None:
+def test_a_make_up_of_channel_2_comes_on_top_of_f_hat_s_answer_to_it(rule):
     """Also where d̂ and u2 are solved for at once, because G2 feeds through."""
     table, state, filters = of(Target(TICK_S, 0, rule, limit_2=2000.0))
     told = run(table, state)
@@ -122,7 +118,7 @@ def test_a_make_up_of_channel_2_comes_on_top_of_f_hat_s_answer_to_it(rule: Any) 
 
 
 @pytest.mark.parametrize("latency", [0, 2])
-def test_what_channel_1_cannot_do_is_made_up_for(latency: int) -> None:
+def test_what_channel_1_cannot_do_is_made_up_for(latency):
     """Beside C's own answer to the commands as they were limited."""
     table, state, filters = of(Target(TICK_S, latency, "zoh", limit_1=60.0, on_confirmation=True))
     told = run(table, state)
@@ -134,7 +130,7 @@ def test_what_channel_1_cannot_do_is_made_up_for(latency: int) -> None:
 
 
 @pytest.mark.parametrize("latency", [0, 2])
-def test_after_a_loss_f_hat_makes_up_for_w_whatever_is_measured(latency: int) -> None:
+def test_after_a_loss_f_hat_makes_up_for_w_whatever_is_measured(latency):
     """Also of the commands in ticks without a measurement."""
     target = Target(TICK_S, latency, "zoh", on_confirmation=True)
     table, state, filters = of(target, loss_model={"follow": 0.0})
@@ -156,7 +152,7 @@ def test_after_a_loss_f_hat_makes_up_for_w_whatever_is_measured(latency: int) ->
     )
 
 
-def test_a_tick_without_a_measurement_tells_the_other_cars_and_the_candidate_what_goes_on() -> None:
+def test_a_tick_without_a_measurement_tells_the_other_cars_and_the_candidate_what_goes_on():
     """The acting command drives w."""
     table, state, _ = of(Target(TICK_S, 2, "zoh", on_confirmation=True))
     for _ in range(3):
@@ -171,7 +167,7 @@ def test_a_tick_without_a_measurement_tells_the_other_cars_and_the_candidate_wha
     assert (state.reference, state.measurement) == (1.0, 0.0)
 
 
-def test_the_open_loop_gives_channel_2_its_share_of_the_reference() -> None:
+def test_the_open_loop_gives_channel_2_its_share_of_the_reference():
     """Chapter 2: u1 = r, u2 = r + F̂ d̂, whatever C would have made of y."""
     target = Target(0.005)
     table, filters = build(OPEN_LOOP, target), discretise(OPEN_LOOP, target)
@@ -187,9 +183,7 @@ def test_the_open_loop_gives_channel_2_its_share_of_the_reference() -> None:
 
 
 @pytest.mark.parametrize("on_confirmation", [False, True])
-def test_the_open_loop_compensates_beside_the_reference_on_confirmation(
-    on_confirmation: bool,
-) -> None:
+def test_the_open_loop_compensates_beside_the_reference_on_confirmation(on_confirmation):
     table = build(OPEN_LOOP, Target(0.005, on_confirmation=on_confirmation))
     state = controller.init(table)[0]
     controller.step(table, state, 2.0, 0.0)
@@ -200,7 +194,7 @@ def test_the_open_loop_compensates_beside_the_reference_on_confirmation(
 
 @pytest.mark.parametrize("on_confirmation", [False, True])
 @pytest.mark.parametrize("huge", [1e308, -1e308])
-def test_an_overflow_holds_both_commands_and_says_so(huge: float, on_confirmation: bool) -> None:
+def test_an_overflow_holds_both_commands_and_says_so(huge, on_confirmation):
     """C's sum is no number; channel 2, where nothing is lost, would be zero all the same."""
     table, state, _ = of(Target(TICK_S, lsb_1=0.5, lsb_2=0.5, on_confirmation=on_confirmation))
     controller.step(table, state, 1.0, 0.1)
@@ -214,7 +208,7 @@ def test_an_overflow_holds_both_commands_and_says_so(huge: float, on_confirmatio
     assert np.isfinite([state[name] for name in NAMES[:3]]).all()
 
 
-def test_nor_does_channel_2_follow_what_is_no_number() -> None:
+def test_nor_does_channel_2_follow_what_is_no_number():
     table, state, _ = of(Target(TICK_S))
     controller.step(table, state, 1.0, 0.1)
     before = [float(state[name]) for name in NAMES[:3]]
@@ -225,7 +219,7 @@ def test_nor_does_channel_2_follow_what_is_no_number() -> None:
 
 
 @pytest.mark.parametrize("on_confirmation", [False, True])
-def test_a_stop_owes_what_c_and_f_hat_would_have_asked_for(on_confirmation: bool) -> None:
+def test_a_stop_owes_what_c_and_f_hat_would_have_asked_for(on_confirmation):
     target = Target(TICK_S, 1, "zoh", on_confirmation=on_confirmation, blind_s=0.0)
     table, state, _ = of(target, loss_model={"follow": 0.0})
     state.loss_model.share = state.loss_model.followed = 1.0
@@ -254,7 +248,7 @@ def test_a_stop_owes_what_c_and_f_hat_would_have_asked_for(on_confirmation: bool
 
 
 @pytest.mark.parametrize("latency", [0, 2])
-def test_the_model_among_other_cars_moves_as_f1_does(latency: int) -> None:
+def test_the_model_among_other_cars_moves_as_f1_does(latency):
     table, state, _ = of(Target(TICK_S, latency, "zoh", mismatch=other_cars(1)))
     measured = MEASURED.copy()
     measured[HELD] = math.nan
@@ -265,7 +259,7 @@ def test_the_model_among_other_cars_moves_as_f1_does(latency: int) -> None:
         assert ours.accumulators.any()
 
 
-def test_c_tracks_the_shaped_reference_where_there_is_a_shaper() -> None:
+def test_c_tracks_the_shaped_reference_where_there_is_a_shaper():
     shaping, shaped, _ = of(Target(TICK_S, reference_acceleration=40.0))
     plain, followed, _ = of(Target(TICK_S))
     for _ in range(5):

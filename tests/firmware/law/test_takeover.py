@@ -95,9 +95,7 @@ def restarted(away: int, begins: int = 2000) -> tuple[Loop, float]:
 @pytest.mark.compiled
 @pytest.mark.parametrize("begins", [1500, 2000, 2500, 3000])
 @pytest.mark.parametrize("away", [0, 30, 300])
-def test_the_car_comes_back_to_its_reference_and_nothing_is_called_a_fault(
-    away: int, begins: int
-) -> None:
+def test_the_car_comes_back_to_its_reference_and_nothing_is_called_a_fault(away, begins):
     loop, usual = restarted(away, begins)
     answers = loop.run(3000)
     states = {answer.fault_state for answer in answers}
@@ -109,7 +107,7 @@ def test_the_car_comes_back_to_its_reference_and_nothing_is_called_a_fault(
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("begins", [1500, 2000, 2500, 3000])
-def test_a_restart_within_a_tick_moves_the_car_little(begins: int) -> None:
+def test_a_restart_within_a_tick_moves_the_car_little(begins):
     loop, usual = restarted(0, begins)
     undisturbed = Loop(Firmware(table_of()))
     undisturbed.run(begins)
@@ -126,7 +124,7 @@ def test_a_restart_within_a_tick_moves_the_car_little(begins: int) -> None:
 
 
 @pytest.mark.compiled
-def test_without_a_takeover_the_same_restart_is_a_jump() -> None:
+def test_without_a_takeover_the_same_restart_is_a_jump():
     """The measure of the tests above: a controller that believes the car at rest."""
     loop, usual = restarted(0)
     last = loop.acting[0]
@@ -136,7 +134,7 @@ def test_without_a_takeover_the_same_restart_is_a_jump() -> None:
 
 
 @pytest.mark.compiled
-def test_a_motor_that_died_before_is_found() -> None:
+def test_a_motor_that_died_before_is_found():
     loop, _ = restarted(0)
     loop.working = 0.0
     answers = loop.run(3000)
@@ -145,7 +143,7 @@ def test_a_motor_that_died_before_is_found() -> None:
 
 
 @pytest.mark.compiled
-def test_actuators_at_rest_are_met_at_rest() -> None:
+def test_actuators_at_rest_are_met_at_rest():
     loop, usual = restarted(30)
     loop.firmware.begin(at_rest=True)
     (answer,) = loop.run(1)
@@ -155,7 +153,7 @@ def test_actuators_at_rest_are_met_at_rest() -> None:
 
 
 @pytest.mark.compiled
-def test_a_plant_at_rest_is_not_taken_over() -> None:
+def test_a_plant_at_rest_is_not_taken_over():
     """The same bits as of a controller that is told so, noise or not."""
     begun, told = (Loop(Firmware(table_of(noise_rms=0.01, resolution=0.001))) for _ in range(2))
     begun.firmware.begin()
@@ -163,7 +161,7 @@ def test_a_plant_at_rest_is_not_taken_over() -> None:
 
 
 @pytest.mark.compiled
-def test_the_takeover_waits_for_the_first_tick_with_both_inputs() -> None:
+def test_the_takeover_waits_for_the_first_tick_with_both_inputs():
     loop, usual = restarted(0)
     last = loop.acting[0]
     for inputs in ((np.nan, np.nan), (1.0, np.nan), (np.nan, loop.output)):
@@ -174,7 +172,7 @@ def test_the_takeover_waits_for_the_first_tick_with_both_inputs() -> None:
 
 
 @pytest.mark.compiled
-def test_an_output_that_is_lost_meanwhile_does_not_end_the_takeover() -> None:
+def test_an_output_that_is_lost_meanwhile_does_not_end_the_takeover():
     loop, usual = restarted(0)
     loop.run(40)
     for _ in range(40):
@@ -188,13 +186,13 @@ def test_an_output_that_is_lost_meanwhile_does_not_end_the_takeover() -> None:
 
 
 @given(st.floats(-9, 9), st.floats(-9, 9))
-def test_the_level_is_what_motion_and_reference_share(reference: float, y: float) -> None:
+def test_the_level_is_what_motion_and_reference_share(reference, y):
     level = wanted_level(reference, y)
     same = np.sign(reference) == np.sign(y)
     assert level == (np.copysign(min(abs(reference), abs(y)), y) if same else 0.0)
 
 
-def test_the_observer_is_least_squares_with_a_fading_memory() -> None:
+def test_the_observer_is_least_squares_with_a_fading_memory():
     phi, c = model()
     gain, covariance = observer(phi, c, MEMORY)
     rng, ticks = np.random.default_rng(3), 600
@@ -218,7 +216,7 @@ def test_the_observer_is_least_squares_with_a_fading_memory() -> None:
         assert row @ covariance @ row == pytest.approx(row @ spread @ spread.T @ row, rel=0.05)
 
 
-def test_the_doubt_is_the_variance_that_noise_leaves() -> None:
+def test_the_doubt_is_the_variance_that_noise_leaves():
     phi, c = model()
     gain, covariance = observer(phi, c, MEMORY)
     rng, trials = np.random.default_rng(2), 2000
@@ -232,7 +230,7 @@ def test_the_doubt_is_the_variance_that_noise_leaves() -> None:
     assert largest_variance(phi, c, covariance) == pytest.approx(largest, rel=0.1)
 
 
-def test_a_takeover_ends_once_its_motion_has_faded() -> None:
+def test_a_takeover_ends_once_its_motion_has_faded():
     table = table_of()
     state, g1 = controller.init(table)[0].takeover, table.estimator.channel_1
     begin_takeover(g1, state, 0.0, 1.0)

@@ -1,7 +1,5 @@
 """The thesis's law alone: scipy's filters of its own commands, and inputs that are missing."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -33,7 +31,7 @@ def run(target: Target, reference: NDArray[Any], measured: NDArray[Any]) -> dict
 
 @pytest.mark.parametrize("latency", [0, 2])
 @pytest.mark.parametrize("rule", FEEDING)
-def test_alone_the_law_is_the_filters_of_chapter_3(rule: Any, latency: int) -> None:
+def test_alone_the_law_is_the_filters_of_chapter_3(rule, latency):
     """u1 = Q (r - y + G1 u1), d̂ = G1 u1 + G2 u2 - y, u2 = r2 + F̂ d̂, each a filter of scipy."""
     target = Target(TICK_S, latency, rule, supervised=False)
     told, filters = run(target, REFERENCE, MEASURED), discretise(DESIGN, target)
@@ -50,7 +48,7 @@ def test_alone_the_law_is_the_filters_of_chapter_3(rule: Any, latency: int) -> N
 
 
 @pytest.mark.parametrize("which", ["reference", "measurement"])
-def test_a_missing_input_keeps_its_last_value(which: str) -> None:
+def test_a_missing_input_keeps_its_last_value(which):
     given = {"reference": REFERENCE.copy(), "measurement": MEASURED.copy()}
     held = {name: values.copy() for name, values in given.items()}
     given[which][20:25], held[which][20:25] = np.nan, held[which][19]
@@ -62,7 +60,7 @@ def test_a_missing_input_keeps_its_last_value(which: str) -> None:
     assert np.flatnonzero(told["mode"] == Mode.BLIND).tolist() == [*range(20, 25)]
 
 
-def test_an_overflow_holds_the_commands() -> None:
+def test_an_overflow_holds_the_commands():
     reference = REFERENCE.copy()
     reference[20] = 1e308
     told = run(Target(TICK_S, supervised=False), reference, MEASURED)

@@ -1,9 +1,6 @@
 """C as Q around the model: its transfer function, and limits that are outside its loop."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +31,7 @@ def impulse_response(of: Target, ticks: int) -> FloatArray:
 
 @pytest.mark.parametrize("rule", ["tustin", "tustin-held", "zoh"])
 @pytest.mark.parametrize("latency", [0, 1, 4])
-def test_it_is_q_over_one_less_q_times_the_delayed_model(latency: int, rule: Any) -> None:
+def test_it_is_q_over_one_less_q_times_the_delayed_model(latency, rule):
     """C = Q/(1 - Q G1 z^-n) by impulse responses: c = q + (q * g, n later) * c."""
     ticks, impulse = 60, np.eye(1, 60)[0]
     discretised = {"zoh": zoh, "tustin": tustin, "tustin-held": tustin_held}[rule](CAR.g1, TICK_S)
@@ -47,7 +44,7 @@ def test_it_is_q_over_one_less_q_times_the_delayed_model(latency: int, rule: Any
     np.testing.assert_allclose(ours, expected, atol=1e-9 * np.abs(expected).max())
 
 
-def test_with_tustin_s_rule_at_no_latency_it_is_tustin_s_c() -> None:
+def test_with_tustin_s_rule_at_no_latency_it_is_tustin_s_c():
     """Tustin of Q/(1 - Q G1) is Q/(1 - Q G1) of their Tustins."""
     c = tustin(DESIGN.tracking.controller, TICK_S)
     expected = signal.sosfilt(c.sos, np.eye(1, 200)[0])
@@ -91,8 +88,8 @@ grids = st.sampled_from([0.0, 0.01, 0.5])
     limit=limits, rate=rates, lsb=grids,
 )  # fmt: skip
 def test_on_the_car_that_is_the_model_limits_are_outside_the_loop(
-    levels: list[float], latency: int, limit: float, rate: float, lsb: float
-) -> None:
+    levels, latency, limit, rate, lsb
+):
     """Commands are Q r, made up for what the actuator could not do; D* is G1 of those."""
     of = Target(TICK_S, latency, "zoh", limit_1=limit, rate_1=rate, lsb_1=lsb, on_confirmation=True)
     reference = np.repeat(levels, 120)
@@ -112,9 +109,7 @@ def test_on_the_car_that_is_the_model_limits_are_outside_the_loop(
 @given(level=st.floats(0.1, 2.0), limit=st.floats(60.0, 400.0), rate=st.floats(500.0, 5000.0),
        latency=st.integers(0, 4))  # fmt: skip
 @pytest.mark.compiled
-def test_whatever_the_limits_it_comes_to_rest_where_it_can(
-    level: float, limit: float, rate: float, latency: int
-) -> None:
+def test_whatever_the_limits_it_comes_to_rest_where_it_can(level, limit, rate, latency):
     of = Target(TICK_S, latency, "zoh", limit_1=limit, rate_1=rate, on_confirmation=True)
     trace = simulate(build(DESIGN, of), PLANT, np.full(8000, level))
     reached = min(level, limit * CAR.g1.dc_gain)
@@ -125,7 +120,7 @@ def test_whatever_the_limits_it_comes_to_rest_where_it_can(
 @pytest.mark.compiled
 @pytest.mark.parametrize("disturbance", [0.2, -0.1])
 @pytest.mark.parametrize("latency", [0, 3])
-def test_a_constant_disturbance_of_y_leaves_no_error(latency: int, disturbance: float) -> None:
+def test_a_constant_disturbance_of_y_leaves_no_error(latency, disturbance):
     """The integrator: Q G1 is 1 at rest. What is measured settles at r, in some of Q's lags."""
     bias = np.where(np.arange(1500) < 500, 0.0, disturbance)
     of = Target(TICK_S, latency, "zoh", on_confirmation=True, noise_rms=10.0)
@@ -138,9 +133,7 @@ def test_a_constant_disturbance_of_y_leaves_no_error(latency: int, disturbance: 
 @pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1, 3])
 @pytest.mark.parametrize("limit_n", [1500.0, 2500.0])
-def test_a_loss_beyond_the_authority_is_followed_again_once_it_can_be(
-    limit_n: float, latency: int
-) -> None:
+def test_a_loss_beyond_the_authority_is_followed_again_once_it_can_be(limit_n, latency):
     """1 m/s² takes 3 kN; a quarter of this demand is feasible."""
     of = Target(TICK_S, latency, "zoh", limit_1=400.0, limit_2=limit_n, on_confirmation=True)
     reference = np.where(np.arange(9000) < 4000, 1.0, 0.25)

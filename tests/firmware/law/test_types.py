@@ -1,7 +1,5 @@
 """A declared record is a type: what does not fit is an error before anything runs."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Annotated
@@ -35,7 +33,7 @@ WRONG = {
 
 
 @pytest.fixture(scope="module")
-def errors(tmp_path_factory: pytest.TempPathFactory) -> dict[int, str]:
+def errors(tmp_path_factory):
     """What mypy says with the settings of the project, by line."""
     path = tmp_path_factory.mktemp("typed") / "typed_lines.py"
     path.write_text(LINES, encoding="utf-8")
@@ -47,12 +45,12 @@ def errors(tmp_path_factory: pytest.TempPathFactory) -> dict[int, str]:
 
 @pytest.mark.compiled  # mypy says the same of interpreted lines
 @pytest.mark.parametrize("line", WRONG, ids=lambda line: LINES.splitlines()[line - 1].strip())
-def test_a_wrong_line_is_a_type_error(errors: dict[int, str], line: int) -> None:
+def test_a_wrong_line_is_a_type_error(errors, line):
     assert WRONG[line] in errors[line]
 
 
 @pytest.mark.compiled
-def test_right_lines_are_none(errors: dict[int, str]) -> None:
+def test_right_lines_are_none(errors):
     assert errors.keys() == WRONG.keys()
 
 
@@ -73,6 +71,6 @@ class Shaped(Struct):
 
 
 @pytest.mark.parametrize("struct", [Bare, Unshaped, Text, Shaped])
-def test_a_field_that_no_target_has_is_refused(struct: type[Struct]) -> None:
+def test_a_field_that_no_target_has_is_refused(struct):
     with pytest.raises(TypeError, match=rf"test_types\.{struct.__name__}\.a: must be Annotated"):
         fields_of(struct)

@@ -1,7 +1,5 @@
 """The verdict: enough evidence, evidence that stands, evidence that ends."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -72,7 +70,7 @@ def judge_in(state: Any) -> None:
         ({"car": 500.0, "lost": 20.1}, "TORQUE_LOST"),
     ],
 )
-def test_a_place_must_be_far_ahead_of_both_others(evidence: dict[str, float], verdict: str) -> None:
+def test_a_place_must_be_far_ahead_of_both_others(evidence, verdict):
     assert judged(state_of(), **evidence).name == verdict
 
 
@@ -80,15 +78,15 @@ def test_a_place_must_be_far_ahead_of_both_others(evidence: dict[str, float], ve
     ("before", "verdict"), [(3.9, "FORCE_LOST"), (4.1, "CANNOT_BE_TOLD"), (30.0, "CANNOT_BE_TOLD")]
 )
 def test_what_channel_2_explained_before_a_loss_of_channel_1_is_no_evidence_against_that(
-    before: float, verdict: str
-) -> None:
+    before, verdict
+):
     """With 13 for a lost channel 1 it takes more than twice as much since its onset."""
     state = state_of()
     state.hypotheses.signatures.before = before
     assert judged(state, force=30.0, lost=13.0).name == verdict
 
 
-def test_of_the_other_faults_all_evidence_counts() -> None:
+def test_of_the_other_faults_all_evidence_counts():
     state = state_of()
     state.hypotheses.signatures.before = 30.0
     assert judged(state, offset=30.0, force=13.0) == Verdict.TORQUE_OFFSET
@@ -107,30 +105,30 @@ def test_of_the_other_faults_all_evidence_counts() -> None:
         ("CANNOT_BE_TOLD", False),
     ],
 )
-def test_what_has_been_found_stands_where_nothing_else_is_found(before: str, stands: bool) -> None:
+def test_what_has_been_found_stands_where_nothing_else_is_found(before, stands):
     after = judged(state_of(Verdict[before]))
     assert after.name == (before if stands else "NOTHING")
 
 
-def test_what_has_been_found_stands_where_it_cannot_be_told_what_there_is_now() -> None:
+def test_what_has_been_found_stands_where_it_cannot_be_told_what_there_is_now():
     after = judged(state_of(Verdict.TORQUE_OFFSET), offset=26.0, biased=13.0)
     assert after == Verdict.TORQUE_OFFSET
 
 
-def test_a_number_that_is_repeated_keeps_no_other_verdict() -> None:
+def test_a_number_that_is_repeated_keeps_no_other_verdict():
     state = state_of(Verdict.CANNOT_BE_TOLD)
     state.hypotheses.frozen.repetitions = 1.0
     assert judged(state) == Verdict.NOTHING
 
 
-def test_a_fault_is_found_in_one_tick_and_stands_in_the_next() -> None:
+def test_a_fault_is_found_in_one_tick_and_stands_in_the_next():
     state = state_of()
     for evidence, found in (({"offset": 30.0}, OFFSET), ({}, Verdict.NOTHING)):
         assert judged(state, **evidence) == Verdict.TORQUE_OFFSET
         assert state.hypotheses.found == found
 
 
-def test_what_comes_after_the_end_of_a_fault_is_another_whatever_its_sign() -> None:
+def test_what_comes_after_the_end_of_a_fault_is_another_whatever_its_sign():
     """Of an offset that has ended no size is kept, which the next could be the end of."""
     state, verdicts = state_of(), []
     for size in (20.0, -20.0, 20.0):
@@ -139,7 +137,7 @@ def test_what_comes_after_the_end_of_a_fault_is_another_whatever_its_sign() -> N
     assert verdicts == [Verdict.TORQUE_OFFSET, Verdict.NOTHING, Verdict.TORQUE_OFFSET]
 
 
-def test_a_sensor_is_frozen_as_long_as_it_repeats_itself() -> None:
+def test_a_sensor_is_frozen_as_long_as_it_repeats_itself():
     state = state_of(Verdict.SENSOR_FROZEN)
     state.hypotheses.frozen.repetitions = 1.0
     assert judged(state) == Verdict.SENSOR_FROZEN
@@ -147,7 +145,7 @@ def test_a_sensor_is_frozen_as_long_as_it_repeats_itself() -> None:
     assert judged(state) == Verdict.NOTHING
 
 
-def test_another_car_stands_until_its_evidence_is_no_suspicion() -> None:
+def test_another_car_stands_until_its_evidence_is_no_suspicion():
     assert judged(state_of(Verdict.ANOTHER_CAR), car=7.1) == Verdict.ANOTHER_CAR
     assert judged(state_of(Verdict.ANOTHER_CAR), car=7.0) == Verdict.NOTHING
     assert judged(state_of(), car=19.0) == Verdict.NOTHING
@@ -163,9 +161,7 @@ def test_another_car_stands_until_its_evidence_is_no_suspicion() -> None:
         (("torque_offset", 20.0), ("sensor_biased", -0.3), False),
     ],
 )
-def test_the_opposite_at_the_same_place_is_the_end_of_a_fault(
-    first: tuple[str, float], then: tuple[str, float], gone: bool
-) -> None:
+def test_the_opposite_at_the_same_place_is_the_end_of_a_fault(first, then, gone):
     short = {"sensor_biased": "biased", "sensor_drifting": "drifting", "torque_offset": "offset"}
     named = Verdict[then[0].replace("biased", "wrong").upper()]
     state = state_of()
@@ -187,14 +183,14 @@ def silent(state: Any, missing: float = 0.51) -> Any:
     return state
 
 
-def test_both_are_lost_only_where_y_follows_less_than_half_of_channel_2() -> None:
+def test_both_are_lost_only_where_y_follows_less_than_half_of_channel_2():
     for missing, verdict in ((0.5, Verdict.TORQUE_LOST), (0.51, Verdict.BOTH_LOST)):
         state = silent(state_of(Verdict.TORQUE_LOST, lost=True), missing)
         assert judged(state, lost=900.0, force=101.0) == verdict
 
 
 @pytest.mark.parametrize(("jump", "verdict"), [(5.0, "SENSOR_WRONG"), (4.9, "CANNOT_BE_TOLD")])
-def test_a_bias_begins_with_a_jump(jump: float, verdict: str) -> None:
+def test_a_bias_begins_with_a_jump(jump, verdict):
     state = state_of()
     state.hypotheses.signatures.jump = jump
     state.hypotheses.evidence[BIASED] = 90.0
@@ -202,7 +198,7 @@ def test_a_bias_begins_with_a_jump(jump: float, verdict: str) -> None:
     assert Verdict(state.hypotheses.verdict).name == verdict
 
 
-def test_of_another_fault_no_jump_is_asked() -> None:
+def test_of_another_fault_no_jump_is_asked():
     state = state_of()
     state.hypotheses.evidence[OFFSET] = 90.0
     judge_in(state)
@@ -226,13 +222,13 @@ def test_of_another_fault_no_jump_is_asked() -> None:
     ],
 )
 def test_of_a_confirmed_loss_it_is_asked_whether_the_other_channel_is_lost_too(
-    before: str, evidence: dict[str, float], verdict: str
-) -> None:
+    before, evidence, verdict
+):
     state = silent(state_of(Verdict[before], lost=True))
     assert judged(state, **evidence).name == verdict
 
 
-def test_the_end_of_a_confirmed_loss_competes_with_the_loss_of_the_other_channel() -> None:
+def test_the_end_of_a_confirmed_loss_competes_with_the_loss_of_the_other_channel():
     state = silent(state_of(lost=True))
     state.sequential_test.evidence = 41.0
     assert judged(state, lost=30.0, force=140.0) == Verdict.TORQUE_LOST
@@ -254,7 +250,7 @@ def with_learnt_car(tables: Records[Table], lost: bool) -> Any:
     return state
 
 
-def test_of_a_confirmed_loss_the_evidence_is_how_far_its_share_is_from_none() -> None:
+def test_of_a_confirmed_loss_the_evidence_is_how_far_its_share_is_from_none():
     state = with_learnt_car(TABLES, lost=True)
     variance = covariance_of(state.mismatch)[0, 0]
     assert torque_evidence(
@@ -267,8 +263,8 @@ def test_of_a_confirmed_loss_the_evidence_is_how_far_its_share_is_from_none() ->
     [(8.0, 16.0, 2.0), (48.0, 16.0, 54.0), (0.0, 0.0, 0.0), (-8.0, 16.0, 2.0)],
 )
 def test_before_that_it_is_that_of_the_share_which_explains_most(
-    correlation: float, information: float, evidence: float
-) -> None:
+    correlation, information, evidence
+):
     """c²/2i, or with the largest share that a car may have, 1.5."""
     state = with_learnt_car(TABLES, lost=False)
     test = state.sequential_test
@@ -278,9 +274,7 @@ def test_before_that_it_is_that_of_the_share_which_explains_most(
 
 
 @pytest.mark.parametrize("clearly", [1.0, 0.01])
-def test_another_car_is_told_by_the_direction_in_which_it_differs_most_clearly(
-    clearly: float,
-) -> None:
+def test_another_car_is_told_by_the_direction_in_which_it_differs_most_clearly(clearly):
     state = with_learnt_car(TABLES, lost=False)
     state.mismatch.theta[:] *= clearly
     cars = slice(2, 2 + int(TABLES[0].other_cars.n))

@@ -1,7 +1,5 @@
 """The whitener as it runs: scipy's answers, its steady state, sums of signals."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -38,7 +36,7 @@ def at_rest() -> Any:
 
 
 @pytest.mark.parametrize("noise", [{"noise_pole": 0.6}, {"noise_pole": 0.6, "disturbance": 0.2}])
-def test_the_answers_are_those_of_scipy(noise: dict[str, float]) -> None:
+def test_the_answers_are_those_of_scipy(noise):
     constants, sos = constants_of(**noise)
     state = at_rest()
     ours = [whiten(constants, state, u) for u in DRAWN[0]]
@@ -48,7 +46,7 @@ def test_the_answers_are_those_of_scipy(noise: dict[str, float]) -> None:
 @pytest.mark.parametrize(
     "noise", [{}, {"noise_pole": 0.6}, {"noise_pole": 0.6, "disturbance": 0.2}]
 )
-def test_a_settled_whitener_goes_on_with_the_gain_at_rest(noise: dict[str, float]) -> None:
+def test_a_settled_whitener_goes_on_with_the_gain_at_rest(noise):
     constants, sos = constants_of(**noise)
     state = at_rest()
     state.memory[:] = 7.0
@@ -58,7 +56,7 @@ def test_a_settled_whitener_goes_on_with_the_gain_at_rest(noise: dict[str, float
         assert whiten(constants, state, 3.0) == pytest.approx(3.0 * gain, abs=1e-12)
 
 
-def test_a_section_without_memory_keeps_none() -> None:
+def test_a_section_without_memory_keeps_none():
     constants, _ = constants_of()
     constants.n = 1
     constants.coefficients[0] = 2.0, 0.0, 0.0, 0.0, 0.0
@@ -68,7 +66,7 @@ def test_a_section_without_memory_keeps_none() -> None:
     assert whiten(constants, state, 3.0) == 6.0
 
 
-def test_memories_add_up_like_signals() -> None:
+def test_memories_add_up_like_signals():
     """Linear: the memory of u + f v is that of u plus f times that of v."""
     constants, _ = constants_of(noise_pole=0.6, disturbance=0.2)
     own, other, both = at_rest(), at_rest(), at_rest()

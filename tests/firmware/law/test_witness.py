@@ -138,13 +138,13 @@ def commands(driven: Driven) -> list[tuple[float, float]]:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("hears", [right, off, swinging, nothing, None])
-def test_a_witness_of_a_healthy_car_changes_no_command_right_or_wrong(hears: Error | None) -> None:
+def test_a_witness_of_a_healthy_car_changes_no_command_right_or_wrong(hears):
     assert commands(drive(table_of(), hears=hears)) == commands(healthy())
 
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("sensor", [off, swinging, nothing, missing])
-def test_the_witness_stands_in_for_a_wrong_sensor(sensor: Error) -> None:
+def test_the_witness_stands_in_for_a_wrong_sensor(sensor):
     heard, alone = drive(table_of(), sensor), drive(table_of(None), sensor, hears=None)
     assert FaultState.CONFIRMED not in heard.states
     assert heard.off(healthy()) < 0.4
@@ -157,7 +157,7 @@ def test_the_witness_stands_in_for_a_wrong_sensor(sensor: Error) -> None:
 
 
 @pytest.mark.compiled
-def test_a_loss_is_confirmed_with_a_witness_as_soon_as_without() -> None:
+def test_a_loss_is_confirmed_with_a_witness_as_soon_as_without():
     alone = drive(table_of(None), hears=None, acts=dead)
     heard = drive(table_of(), acts=dead)
     assert heard.states.index(FaultState.CONFIRMED) == alone.states.index(FaultState.CONFIRMED)
@@ -167,7 +167,7 @@ def test_a_loss_is_confirmed_with_a_witness_as_soon_as_without() -> None:
 
 
 @pytest.mark.compiled
-def test_a_lost_torque_whose_echo_lies_is_confirmed_once_the_witness_shows_the_loss() -> None:
+def test_a_lost_torque_whose_echo_lies_is_confirmed_once_the_witness_shows_the_loss():
     honestly, against = (
         drive(table_of(echoes=True), acts=dead, echoes=says).states.index(FaultState.CONFIRMED)
         for says in (honest, lying)
@@ -176,7 +176,7 @@ def test_a_lost_torque_whose_echo_lies_is_confirmed_once_the_witness_shows_the_l
 
 
 @pytest.mark.compiled
-def test_a_loss_that_the_echo_denies_is_confirmed_once_no_gust_moves_the_car_so_far() -> None:
+def test_a_loss_that_the_echo_denies_is_confirmed_once_no_gust_moves_the_car_so_far():
     found = [
         drive(table_of(echoes=True, gust=gust), acts=dead, echoes=lying).states.index(
             FaultState.CONFIRMED
@@ -191,7 +191,7 @@ def dies_between_samples(y: float, k: int) -> float:
 
 
 @pytest.mark.compiled
-def test_a_sensor_that_jumps_is_no_car_in_the_wind() -> None:
+def test_a_sensor_that_jumps_is_no_car_in_the_wind():
     driven = drive(table_of(echoes=True, gust=0.35), dies_between_samples, echoes=honest, end=300)
     assert Verdict.ANOTHER_CAR not in driven.verdicts[FAULT : FAULT + PERIOD]
     assert Verdict.SENSOR_WRONG in driven.verdicts[FAULT : FAULT + PERIOD]
@@ -203,7 +203,7 @@ def dies_in_a_pushed_car(y: float, k: int) -> float:
 
 
 @pytest.mark.compiled
-def test_no_sample_from_before_a_fault_acquits_the_sensor() -> None:
+def test_no_sample_from_before_a_fault_acquits_the_sensor():
     """Before the fault the witness confirms the sensor against a model that knows no push."""
     table, died = table_of(echoes=True, gust=0.35), FAULT + 201
     driven = drive(table, dies_in_a_pushed_car, echoes=lying, push=1.5)
@@ -223,19 +223,19 @@ def carried_away(y: float, k: int) -> float:
 
 
 @pytest.mark.compiled
-def test_a_drift_that_the_witness_sees_too_is_no_fault_of_the_sensor() -> None:
+def test_a_drift_that_the_witness_sees_too_is_no_fault_of_the_sensor():
     assert Verdict.SENSOR_DRIFTING in drive(table_of(), carried_away, None).verdicts
     assert Verdict.SENSOR_DRIFTING not in drive(table_of(), carried_away, carried_away).verdicts
 
 
-def test_with_all_witnesses_a_moved_car_is_another_car() -> None:
+def test_with_all_witnesses_a_moved_car_is_another_car():
     table = table_of(echoes=True, gust=0.35)
     driven = drive(table, carried_away, carried_away, echoes=honest, end=450)
     assert set(driven.verdicts) == {Verdict.NOTHING, Verdict.ANOTHER_CAR}
     assert FaultState.CONFIRMED not in driven.states
 
 
-def test_a_sensor_that_pretends_a_loss_deceives_only_until_the_witness_refutes() -> None:
+def test_a_sensor_that_pretends_a_loss_deceives_only_until_the_witness_refutes():
     pretended = drive(table_of(), as_if_lost, until=FAULT + 300, end=600)
     begun = pretended.states.index(FaultState.CONFIRMED)
     ended = begun + pretended.states[begun:].index(FaultState.CLEAR)
@@ -247,16 +247,14 @@ def test_a_sensor_that_pretends_a_loss_deceives_only_until_the_witness_refutes()
 
 
 @pytest.mark.parametrize("slides", [0.0, 3.0])
-def test_the_echo_of_a_working_motor_keeps_a_pretended_loss_from_being_confirmed(
-    slides: float,
-) -> None:
+def test_the_echo_of_a_working_motor_keeps_a_pretended_loss_from_being_confirmed(slides):
     pretended = drive(table_of(echoes=True), as_if_lost, echoes=honest, slides=slides, end=450)
     assert FaultState.CONFIRMED not in pretended.states
     assert Verdict.SENSOR_WRONG in pretended.verdicts
 
 
 @pytest.mark.compiled
-def test_without_a_sensor_the_witness_shows_what_the_model_does_not_know() -> None:
+def test_without_a_sensor_the_witness_shows_what_the_model_does_not_know():
     held = {"wanted": lambda k: 0.0, "push": 10.0}
     heard = drive(table_of(), missing, **held)
     blind = drive(table_of(None), missing, hears=None, **held)
@@ -266,7 +264,7 @@ def test_without_a_sensor_the_witness_shows_what_the_model_does_not_know() -> No
 
 @pytest.mark.compiled
 @pytest.mark.parametrize(("hears", "last"), [(right, Mode.BLIND), (None, Mode.SAFE_STOP)])
-def test_a_blind_controller_stops_unless_a_witness_comes(hears: Error | None, last: Mode) -> None:
+def test_a_blind_controller_stops_unless_a_witness_comes(hears, last):
     driven = drive(table_of(blind_s=0.1), missing, hears)
     assert driven.answers[-1].mode == last
 
@@ -276,7 +274,7 @@ def falls_silent(y: float, k: int) -> float:
 
 
 @pytest.mark.compiled
-def test_a_denied_sensor_stays_denied_when_the_witness_falls_silent() -> None:
+def test_a_denied_sensor_stays_denied_when_the_witness_falls_silent():
     driven = drive(table_of(blind_s=0.02), off, falls_silent)
     modes = [answer.mode for answer in driven.answers]
     stop = modes.index(Mode.SAFE_STOP)
@@ -290,7 +288,7 @@ def test_a_denied_sensor_stays_denied_when_the_witness_falls_silent() -> None:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("moves", [True, False])
-def test_a_sensor_that_works_again_is_believed_once_the_car_has_moved(moves: bool) -> None:
+def test_a_sensor_that_works_again_is_believed_once_the_car_has_moved(moves):
     def wanted(k: int) -> float:
         return math.sin(0.01 * k) if moves or k < FAULT + 60 else 0.0
 
@@ -303,7 +301,7 @@ def test_a_sensor_that_works_again_is_believed_once_the_car_has_moved(moves: boo
 
 
 @pytest.mark.compiled
-def test_an_unknown_speed_is_no_fault() -> None:
+def test_an_unknown_speed_is_no_fault():
     def faster(y: float, k: int) -> float:
         return y * (1.0 + 0.2 * (1.0 - WEIGHT))
 
@@ -321,7 +319,7 @@ def test_an_unknown_speed_is_no_fault() -> None:
     "sample",
     [(3, math.nan, 0.0), (3, 1.0, math.nan), (3, 1.0, -1.0), (3, 1.0, KEPT_TICKS), (5, 1.0, 0.0)],
 )
-def test_what_is_no_sample_is_not_heard(sample: tuple[int, float, float]) -> None:
+def test_what_is_no_sample_is_not_heard(sample):
     firmware, other = Firmware(table_of()), Firmware(table_of())
     for k in range(30):
         firmware.hear(4, 9.0)
@@ -331,7 +329,7 @@ def test_what_is_no_sample_is_not_heard(sample: tuple[int, float, float]) -> Non
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("age", [7, 30])
-def test_a_sample_counts_for_the_tick_in_which_it_was_taken(age: int) -> None:
+def test_a_sample_counts_for_the_tick_in_which_it_was_taken(age):
     """Old samples stand in for the sensor nearly as well as new ones, if their age is told."""
     honest_age, none_told = (drive(table_of(), missing, age=(age, told)) for told in (age, 0))
     assert honest_age.off(healthy()) < 0.5 * none_told.off(healthy())
@@ -341,7 +339,7 @@ def absurd(y: float, k: int) -> float:
     return 1e200 if k < 20 else y
 
 
-def test_a_sensor_that_says_absurd_numbers_is_believed_again_after_all() -> None:
+def test_a_sensor_that_says_absurd_numbers_is_believed_again_after_all():
     table = table_of(limit_1=400.0, limit_2=4000.0).copy()
     table.witness.working = 40
     driven = drive(table, absurd, end=400)
@@ -349,7 +347,7 @@ def test_a_sensor_that_says_absurd_numbers_is_believed_again_after_all() -> None
     assert driven.off(healthy()) < 0.5
 
 
-def test_a_tick_that_overflows_forgets_the_samples() -> None:
+def test_a_tick_that_overflows_forgets_the_samples():
     firmware, fresh = Firmware(table_of()), Firmware(table_of())
     for _ in range(20):
         firmware.hear(3, 0.3)
@@ -360,7 +358,7 @@ def test_a_tick_that_overflows_forgets_the_samples() -> None:
     assert answers[0] == answers[1]
 
 
-def test_the_witness_knows_the_speed_of_a_car_that_says_it() -> None:
+def test_the_witness_knows_the_speed_of_a_car_that_says_it():
     """V beyond the designs counts too, where no other constant follows any more."""
     of = scheduled(target=replace(SCHEDULED, witness=WITNESS), cars=1)
     at = Blended(of)
@@ -370,7 +368,7 @@ def test_the_witness_knows_the_speed_of_a_car_that_says_it() -> None:
 
 
 @pytest.mark.compiled
-def test_an_unknown_torque_is_no_fault_of_a_sensor_that_the_witness_confirms() -> None:
+def test_an_unknown_torque_is_no_fault_of_a_sensor_that_the_witness_confirms():
     """D* alone takes the torque for a sensor's fault again and again."""
     sensor = {Verdict.SENSOR_WRONG, Verdict.SENSOR_DRIFTING, Verdict.SENSOR_FROZEN}
     heard = drive(table_of(), push=30.0)
@@ -379,7 +377,7 @@ def test_an_unknown_torque_is_no_fault_of_a_sensor_that_the_witness_confirms() -
     assert sensor & set(alone.verdicts[FAULT + 60 :])
 
 
-def test_a_sample_older_than_the_memory_counts_for_nothing() -> None:
+def test_a_sample_older_than_the_memory_counts_for_nothing():
     late = Witness(WEIGHT, SPEED_MPS, lag_s=5 * TICK_S, noise_rms=RMS)
     oldest = KEPT_TICKS - 1
     driven = drive(table_of(late, blind_s=0.1), missing, age=(oldest, oldest), end=400)
@@ -392,20 +390,20 @@ def dies_later(torque: float, force: float, k: int) -> tuple[float, float]:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("says", [None, lying])
-def test_a_motor_that_dies_beside_a_denied_sensor_is_not_found(says: Any) -> None:
+def test_a_motor_that_dies_beside_a_denied_sensor_is_not_found(says):
     driven = drive(table_of(echoes=says is not None), nothing, acts=dies_later, echoes=says)
     assert driven.off(healthy()) > 0.5
     assert max(abs(answer.command_2) for answer in driven.answers) == 0.0
 
 
-def test_a_motor_that_dies_beside_a_denied_sensor_is_compensated_from_its_echo() -> None:
+def test_a_motor_that_dies_beside_a_denied_sensor_is_compensated_from_its_echo():
     honestly = drive(table_of(echoes=True), nothing, acts=dies_later, echoes=honest, end=500)
     assert honestly.off(healthy()) < 0.3
     assert abs(honestly.y[-1] - healthy().y[499]) < 0.2
 
 
 @pytest.mark.parametrize("level", [0.0, 1.0])
-def test_a_controller_begins_with_the_witness_alone(level: float) -> None:
+def test_a_controller_begins_with_the_witness_alone(level):
     firmware, car = Firmware(table_of()), Car()
     firmware.begin()
     steady = np.linalg.solve(np.eye(len(car.a)) - car.a, car.b[:, 0])
@@ -424,7 +422,7 @@ def test_a_controller_begins_with_the_witness_alone(level: float) -> None:
     assert car.y == pytest.approx(1.0, abs=0.01)
 
 
-def test_without_a_sensor_of_the_output_both_do_what_their_sum_does() -> None:
+def test_without_a_sensor_of_the_output_both_do_what_their_sum_does():
     """Also where a sample, or the reference, is missing; nothing judges the sum."""
     makes, given = Firmware(table_of(replace(WITNESS, makes=True))), Firmware(table_of(None))
     random = np.random.default_rng(5)

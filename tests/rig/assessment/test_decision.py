@@ -1,7 +1,5 @@
 """What ``check`` says of the decision, against drives with noise and closed forms."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -47,9 +45,7 @@ def delays_s(scenario: Scenario) -> np.ndarray:
         ("chassis-can", ["duration_s=6.6", "fault.at_s=6"], 1.7),
     ],
 )
-def test_the_expected_delay_is_the_median_of_noisy_drives(
-    name: str, settings: list[str], slowest: float
-) -> None:
+def test_the_expected_delay_is_the_median_of_noisy_drives(name, settings, slowest):
     scenario = load(name, settings)
     expected_s = figures(scenario).expected_delay_s
     assert expected_s is not None
@@ -59,7 +55,7 @@ def test_the_expected_delay_is_the_median_of_noisy_drives(
     assert drives_s.max() <= slowest * expected_s + 2 * scenario.tick_s
 
 
-def test_fewer_alarms_take_longer_and_a_loss_that_does_nothing_is_never_found() -> None:
+def test_fewer_alarms_take_longer_and_a_loss_that_does_nothing_is_never_found():
     short = ["duration_s=3.5", "fault.at_s=3"]
     strict, lax = (
         figures(load("default", [*short, f"budget.false_alarms_per_hour={rate}"])).expected_delay_s
@@ -73,7 +69,7 @@ def test_fewer_alarms_take_longer_and_a_loss_that_does_nothing_is_never_found() 
         assert "is not found on average" in next(nothing.describe(load("default")))
 
 
-def test_noise_and_rounding_add_up() -> None:
+def test_noise_and_rounding_add_up():
     """Uniform rounding to 2^-k has the variance of a step squared over twelve."""
     coarse = load("default", ["plant.sensor.resolution_mps2=0.02"])
     assert figures(coarse).noise_mps2 == pytest.approx(
@@ -83,9 +79,7 @@ def test_noise_and_rounding_add_up() -> None:
 
 
 @pytest.mark.parametrize("disturbance_mps2", [0.0, 0.03])
-def test_the_least_torque_is_the_one_below_which_the_state_is_cannot_tell(
-    disturbance_mps2: float,
-) -> None:
+def test_the_least_torque_is_the_one_below_which_the_state_is_cannot_tell(disturbance_mps2):
     """A second of a constant d of white noise σ has the evidence d²/σ² · 1 s/T: Λ there."""
     calm = f"budget.disturbance_mps2={disturbance_mps2}"
     scenario = load("default", ["duration_s=12", "fault.kind=none", calm])
@@ -103,7 +97,7 @@ def test_the_least_torque_is_the_one_below_which_the_state_is_cannot_tell(
         assert frameless(driven, network_of(driven)).fault_state[-1] == state
 
 
-def test_half_of_the_torque_needs_twice_the_torque_and_the_words_say_so() -> None:
+def test_half_of_the_torque_needs_twice_the_torque_and_the_words_say_so():
     settings = ["duration_s=3.3", "fault.at_s=3"]
     whole = load("default", settings)
     half = load("default", [*settings, "fault.left=0.5"])
@@ -114,7 +108,7 @@ def test_half_of_the_torque_needs_twice_the_torque_and_the_words_say_so() -> Non
     assert figures(sensor) == figures(whole)
 
 
-def test_the_words_say_the_box() -> None:
+def test_the_words_say_the_box():
     lines = list(figures(load("default")).describe(load("default")))
     assert "confirmed after" in lines[0] and "at most 0.001 false alarms an hour" in lines[0]
     assert lines[1] == "other cars: within ±20% of the model are not taken for a loss"
@@ -124,9 +118,7 @@ def test_the_words_say_the_box() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("left", [0.5, 0.7])
-def test_the_return_of_a_part_is_seen_in_a_bend_in_which_nothing_new_was_learnt(
-    left: float,
-) -> None:
+def test_the_return_of_a_part_is_seen_in_a_bend_in_which_nothing_new_was_learnt(left):
     """Whatever the noise: the candidate that runs when the channel returns is of that time."""
     words = [f"fault.left={left}", "fault.at_s=4.7", "fault.for_s=4", "duration_s=10"]
     scenario = load("default", words)

@@ -1,7 +1,5 @@
 """Drives with limits, noise and other cars: findings against runs and by hand."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -40,7 +38,7 @@ def with_other_car() -> Scenario:
     return replace(scenario, model=scenario.plant, plant=replace(scenario.plant, **OTHER_CAR))
 
 
-def test_a_loop_that_swings_in_its_limits_is_found_though_it_is_stable() -> None:
+def test_a_loop_that_swings_in_its_limits_is_found_though_it_is_stable():
     scenario = load("ideal", SWINGING)
     result = check_stability(scenario)
     assert result.linear_stable
@@ -65,13 +63,13 @@ def test_a_loop_that_swings_in_its_limits_is_found_though_it_is_stable() -> None
         ("chapter-2", ()),
     ],
 )
-def test_a_calm_loop_is_calm(name: str, settings: tuple[str, ...]) -> None:
+def test_a_calm_loop_is_calm(name, settings):
     scenario = load(name, settings)
     assert findings_of(scenario) == []
     refuse_unstable(scenario)
 
 
-def test_a_car_outside_the_box_is_named_for_its_false_alarm() -> None:
+def test_a_car_outside_the_box_is_named_for_its_false_alarm():
     scenario = with_other_car()
     (found,) = findings_of(scenario)
     assert (found.car, found.false_alarm) == ("this car", True)
@@ -81,7 +79,7 @@ def test_a_car_outside_the_box_is_named_for_its_false_alarm() -> None:
     refuse_unstable(scenario)  # a run with it is of use: it shows the false alarm
 
 
-def test_the_label_of_another_car_is_in_what_is_said_of_it() -> None:
+def test_the_label_of_another_car_is_in_what_is_said_of_it():
     scenario = with_other_car()
     drives = Drives(scenario, network_of(scenario))
     assert [found.car for found in drives.findings("small", scenario.plant, "torque dead")] == [
@@ -90,7 +88,7 @@ def test_the_label_of_another_car_is_in_what_is_said_of_it() -> None:
     assert list(drives.findings("own", scenario.model, "torque dead")) == []
 
 
-def test_a_demand_beyond_the_authority_is_no_finding() -> None:
+def test_a_demand_beyond_the_authority_is_no_finding():
     """2989 N hold 1 m/s² without the torque."""
     weak = load("ideal", ["limits.force_difference_n=2900"])
     assert findings_of(weak) == []
@@ -99,7 +97,7 @@ def test_a_demand_beyond_the_authority_is_no_finding() -> None:
     assert check_stability(weak).stable
 
 
-def test_the_cars_of_the_box_are_its_vertices_and_some_from_its_inside() -> None:
+def test_the_cars_of_the_box_are_its_vertices_and_some_from_its_inside():
     scenario = load("default")
     some = list(box_cars(scenario))
     assert len(some) == 2**5 + 8  # four parameters and the lags
@@ -116,7 +114,7 @@ def test_the_cars_of_the_box_are_its_vertices_and_some_from_its_inside() -> None
     assert list(box_cars(load("thesis-step"))) == []  # no box, nothing that lags
 
 
-def test_every_car_of_the_box_is_driven_and_said_to_be() -> None:
+def test_every_car_of_the_box_is_driven_and_said_to_be():
     told: list[tuple[int, int]] = []
     scenario = load("ideal")
     network = network_of(scenario)
@@ -129,7 +127,7 @@ def test_every_car_of_the_box_is_driven_and_said_to_be() -> None:
     assert all(finding.car.startswith("mass_kg") for finding in found)
 
 
-def test_every_car_of_the_box_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_car_of_the_box_is_made_once(monkeypatch):
     scenario, made, make = load("default", ("plant.mass_kg=1590",)), [], plants.steer_by_wire
 
     def counted(parameters: VehicleParameters, variant: Variant) -> plants.Plant:
@@ -158,7 +156,7 @@ class Breaks:
         return 0.0
 
 
-def test_a_plant_that_fails_is_not_merely_away() -> None:
+def test_a_plant_that_fails_is_not_merely_away():
     kind = f"{__name__}:Breaks"
     scenario = load("ideal", [f"plant.kind={kind}"])
     drives = Drives(scenario, network_of(scenario))

@@ -14,7 +14,7 @@ from tests.helpers import asked
 BUS = ("latency_ticks=from-bus", "tick_s=0.002", "bus.bitrate=500000")
 
 
-def test_loading_keeps_the_words_and_resolving_puts_in_what_the_assessment_says() -> None:
+def test_loading_keeps_the_words_and_resolving_puts_in_what_the_assessment_says():
     written = read("thesis-step", BUS)
     assert written.latency_from_bus
     assert written.scenario.latency_ticks == 0
@@ -24,20 +24,20 @@ def test_loading_keeps_the_words_and_resolving_puts_in_what_the_assessment_says(
     assert found == load("thesis-step", BUS)
 
 
-def test_a_draft_leaves_the_values_that_it_is_made_of_as_they_are() -> None:
+def test_a_draft_leaves_the_values_that_it_is_made_of_as_they_are():
     values = {"latency_ticks": "from-bus", "design": {"tau_s": 0.002}}
     before = json.dumps(values)
     assert draft("x", values).latency_from_bus
     assert json.dumps(values) == before
 
 
-def test_without_a_word_nothing_is_resolved() -> None:
+def test_without_a_word_nothing_is_resolved():
     written = read("thesis-step")
     assert not written.latency_from_bus
     assert resolve(written) is written.scenario
 
 
-def test_a_run_folder_holds_numbers_and_a_word_may_change_them_again() -> None:
+def test_a_run_folder_holds_numbers_and_a_word_may_change_them_again():
     found = load("thesis-step", BUS)
     recorded = json.loads(json.dumps(found.as_dict()))
     assert recorded["latency_ticks"] == found.latency_ticks
@@ -55,12 +55,12 @@ def test_a_run_folder_holds_numbers_and_a_word_may_change_them_again() -> None:
         ("model.latency_ticks=from-bus", "unknown key"),
     ],
 )
-def test_a_word_stands_for_its_own_number_alone(setting: str, line: str) -> None:
+def test_a_word_stands_for_its_own_number_alone(setting, line):
     with pytest.raises(ScenarioError, match=line):
         load("thesis-step", [setting])
 
 
-def test_a_bus_that_is_too_slow_is_one_line_with_the_key() -> None:
+def test_a_bus_that_is_too_slow_is_one_line_with_the_key():
     with pytest.raises(ScenarioError, match=r'^scenario x: latency_ticks = "from-bus": 1000 bit/s'):
         resolve(draft("x", {"latency_ticks": "from-bus", "bus": {"bitrate": 1000}}))
     done = asked("bus", "--set", "latency_ticks=from-bus", "--set", "bus.bitrate=1000")

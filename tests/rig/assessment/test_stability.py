@@ -1,7 +1,5 @@
 """``can-rig check`` and the refusal of ``can-rig run``; the grids of predictions against runs."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -32,7 +30,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.law.structs import FloatArray
 from tests.firmware.law.cases import changed
-from tests.helpers import asked, rig
+from tests.helpers import asked
 
 UNSTABLE = ("tick_s=0.01", "design.estimator=zoh")  # only with the torque dead
 FAST = ("latency_ticks=8", "design.tau_s=0.0001", "design.tau_q_s=0.0001")  # in every state
@@ -45,7 +43,7 @@ compiled_only = pytest.mark.skipif(
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_the_shipped_scenarios_are_stable_and_run(name: str) -> None:
+def test_the_shipped_scenarios_are_stable_and_run(name):
     scenario = load(name)
     result = check_stability(scenario)
     assert result.stable
@@ -57,7 +55,7 @@ def options(settings: Sequence[str]) -> list[str]:
     return [word for setting in settings for word in ("--set", setting)]
 
 
-def test_json_has_the_figures_of_both_ends() -> None:
+def test_json_has_the_figures_of_both_ends():
     done = asked("check", "thesis-step", "--json")
     assert done.returncode == 0
     values = json.loads(done.stdout)
@@ -74,14 +72,14 @@ def refuse(text: str) -> None:
 
 
 @pytest.mark.parametrize("key", ["noise_mps2", "resolution_mps2"])
-def test_noise_beyond_all_numbers_is_refused_by_its_key(key: str) -> None:
+def test_noise_beyond_all_numbers_is_refused_by_its_key(key):
     done = asked("check", "default", "--set", f"plant.sensor.{key}=1e308")
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert f"plant.sensor.{key} = 1e+308" in line
 
 
-def test_noise_that_hides_every_loss_is_null_in_json() -> None:
+def test_noise_that_hides_every_loss_is_null_in_json():
     done = asked("check", "default", "--set", "plant.sensor.noise_mps2=1e6", "--json")
     assert done.stderr == ""
     values = json.loads(done.stdout, parse_constant=refuse)
@@ -89,7 +87,7 @@ def test_noise_that_hides_every_loss_is_null_in_json() -> None:
     assert values["decision"]["noise_mps2"] == pytest.approx(1e6)
 
 
-def test_an_unstable_loop_is_exit_status_1_and_still_json() -> None:
+def test_an_unstable_loop_is_exit_status_1_and_still_json():
     done = asked("check", "thesis-step", *options(UNSTABLE), "--json")
     assert done.returncode == 1
     values = json.loads(done.stdout, parse_constant=refuse)
@@ -98,8 +96,9 @@ def test_an_unstable_loop_is_exit_status_1_and_still_json() -> None:
     assert values["faulted"]["delay_margin_ticks"] is None
 
 
-def test_a_person_sees_one_table_and_one_verdict() -> None:
-    done = rig("check", "thesis-step", *options(UNSTABLE), env={**os.environ, "COLUMNS": "80"})
+def test_a_person_sees_one_table_and_one_verdict(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    done = asked("check", "thesis-step", *options(UNSTABLE))
     lines = done.stdout.splitlines()
     assert done.returncode == 1
     for word in ("healthy", "torque dead", "torque 25%"):
@@ -118,9 +117,7 @@ def test_a_person_sees_one_table_and_one_verdict() -> None:
         (FAST, "healthy"),
     ],
 )
-def test_run_refuses_an_unstable_loop_and_says_what_works(
-    settings: tuple[str, ...], state: str
-) -> None:
+def test_run_refuses_an_unstable_loop_and_says_what_works(settings, state):
     """Unstable healthy, after the fault, or after one that the scenario does not have."""
     done = asked("run", "thesis-step", *options(settings))
     assert done.returncode == 2
@@ -133,7 +130,7 @@ def test_run_refuses_an_unstable_loop_and_says_what_works(
     assert asked("check", "thesis-step", *options((*settings, *offered))).returncode == 0
 
 
-def test_the_latency_that_a_tuning_survives_is_said() -> None:
+def test_the_latency_that_a_tuning_survives_is_said():
     """Between stable and unstable by its own words."""
     with pytest.raises(ScenarioError, match=r"stable with latency_ticks up to (\d+);") as refused:
         refuse_unstable(load("thesis-step", LATER))
@@ -145,7 +142,7 @@ def test_the_latency_that_a_tuning_survives_is_said() -> None:
         refuse_unstable(load("thesis-step", [*LATER, f"latency_ticks={longest + 1}"]))
 
 
-def test_run_takes_an_unstable_loop_when_told(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_run_takes_an_unstable_loop_when_told(tmp_path):  # type: ignore[no-untyped-def]
     settings = options((*UNSTABLE, "duration_s=0.05"))
     arguments = (*settings, "--in-process", "--out", tmp_path / "r")
     assert asked("run", "thesis-step", *arguments).returncode == 2
@@ -154,7 +151,7 @@ def test_run_takes_an_unstable_loop_when_told(tmp_path) -> None:  # type: ignore
 
 
 @pytest.mark.parametrize("kind", ["none", "actuator-dead", "frames-missing", "frames-corrupted"])
-def test_every_kind_of_fault_ends_in_a_dead_channel(kind: str) -> None:
+def test_every_kind_of_fault_ends_in_a_dead_channel(kind):
     assert not check_stability(load("thesis-step", [*UNSTABLE, f"fault.kind={kind}"])).stable
     other = check_stability(
         load("thesis-step", [*UNSTABLE, f"fault.kind={kind}", "fault.channel=force-difference"])
@@ -163,7 +160,7 @@ def test_every_kind_of_fault_ends_in_a_dead_channel(kind: str) -> None:
     assert "force-difference dead" in dict(other.states)
 
 
-def test_the_cars_own_parameters_are_checked_not_the_models() -> None:
+def test_the_cars_own_parameters_are_checked_not_the_models():
     """A heavy car under a controller for a light one is neither's own loop."""
     own = ["design.tau_s=0.01", "design.tau_q_s=0.02"]
     ours = check_stability(load("thesis-step", [*own, "plant.speed_mps=30", "model.speed_mps=10"]))
@@ -172,7 +169,7 @@ def test_the_cars_own_parameters_are_checked_not_the_models() -> None:
         assert ours.healthy.spectral_radius != pytest.approx(matched.healthy.spectral_radius)
 
 
-def test_a_class_is_loaded_and_the_margins_are_said_not_to_be_its_own() -> None:
+def test_a_class_is_loaded_and_the_margins_are_said_not_to_be_its_own():
     kind = "can_rig.plant.nonlinear_car:NonlinearCar"
     own = check_stability(load("default", [f"plant.kind={kind}"]))
     said = f"margins: of the linear car with its parameters, not of {kind}"
@@ -183,7 +180,7 @@ def test_a_class_is_loaded_and_the_margins_are_said_not_to_be_its_own() -> None:
 
 
 @pytest.mark.parametrize("command", ["check", "bus"])
-def test_a_class_that_is_no_plant_is_refused_as_a_run_refuses_it(command: str) -> None:
+def test_a_class_that_is_no_plant_is_refused_as_a_run_refuses_it(command):
     done = asked(command, "default", "--set", "plant.kind=nope:Nope")
     assert done.returncode == 2
     assert done.stdout == ""
@@ -193,7 +190,7 @@ def test_a_class_that_is_no_plant_is_refused_as_a_run_refuses_it(command: str) -
         check_stability(load("default", ["plant.kind=nope:Nope"]))
 
 
-def test_a_partial_loss_that_is_unstable_is_said_and_does_not_decide() -> None:
+def test_a_partial_loss_that_is_unstable_is_said_and_does_not_decide():
     result = check_stability(load("thesis-step"))
     shaky = dataclasses.replace(result.healthy, spectral_radius=1.1)
     odd = dataclasses.replace(result, partly_lost={**result.partly_lost, 0.5: shaky})
@@ -201,7 +198,7 @@ def test_a_partial_loss_that_is_unstable_is_said_and_does_not_decide() -> None:
     assert odd.verdict == "stable healthy and with torque dead, but not: torque 50%"
 
 
-def test_no_tuning_is_said_where_there_is_none() -> None:
+def test_no_tuning_is_said_where_there_is_none():
     scenario = load("thesis-step", ["latency_ticks=20", "tick_s=0.1"])
     assert stable_tuning(scenario) is None
     with pytest.raises(ScenarioError, match=r"no tau_q_s up to 0\.1 works"):
@@ -241,7 +238,7 @@ def disagreement(spec: DesignSpecification, target: Target, left: tuple[float, f
 
 
 @compiled_only
-def test_random_loops_are_stable_exactly_when_they_simulate_as_stable() -> None:
+def test_random_loops_are_stable_exactly_when_they_simulate_as_stable():
     random = np.random.default_rng(10)
     wrong = []
     for _ in range(150):
@@ -259,7 +256,7 @@ def test_random_loops_are_stable_exactly_when_they_simulate_as_stable() -> None:
 
 
 @compiled_only
-def test_noise_of_a_long_run_has_the_predicted_rms() -> None:
+def test_noise_of_a_long_run_has_the_predicted_rms():
     """200 000 ticks: correlated over ~30 ticks, so 1 % is some four standard deviations."""
     table = build(
         design(CAR, DesignSpecification(tau_s=0.01, tau_q_s=0.02)), Target(1e-3, 1, "zoh")
@@ -273,7 +270,7 @@ def test_noise_of_a_long_run_has_the_predicted_rms() -> None:
     assert u2 == pytest.approx(figures.noise_to_command_2, rel=0.01)
 
 
-def test_a_run_of_the_rigs_own_firmware_grows_at_the_predicted_rate() -> None:
+def test_a_run_of_the_rigs_own_firmware_grows_at_the_predicted_rate():
     """One design by hand, tick by tick, with no help from ``simulate``."""
     table = build(design(CAR, DesignSpecification()), Target(1e-3, 1, "zoh"))
     radius = margins(table, CAR, 1e-3, TORQUE_DEAD).spectral_radius
@@ -288,7 +285,7 @@ def test_a_run_of_the_rigs_own_firmware_grows_at_the_predicted_rate() -> None:
     assert observed == pytest.approx(radius, rel=1e-3)
 
 
-def test_a_loop_that_is_stable_with_nothing_to_spare_is_not_called_stable() -> None:
+def test_a_loop_that_is_stable_with_nothing_to_spare_is_not_called_stable():
     """Of 1.5 ms ticks and two of latency, τ = 7 ms leaves 0.4 % of the distance to -1."""
     thin = ["tick_s=0.0015", "latency_ticks=2", "design.tau_s=0.007", "design.tau_q_s=0.0015"]
     done = asked(
@@ -303,7 +300,7 @@ def test_a_loop_that_is_stable_with_nothing_to_spare_is_not_called_stable() -> N
     assert "must be at most 5 (budget.peak_sensitivity)" in found
 
 
-def test_how_thin_a_margin_may_be_is_a_key() -> None:
+def test_how_thin_a_margin_may_be_is_a_key():
     own = ("budget.peak_sensitivity=2", "budget.spare_ticks=6")
     result = check_stability(load("ideal", own))
     assert result.thin_margins == [
@@ -322,7 +319,7 @@ def of(*settings: str, name: str = "default") -> ControlAuthority:
     return found
 
 
-def test_needs_what_the_settled_run_holds() -> None:
+def test_needs_what_the_settled_run_holds():
     """Trap 7: 2989 N per m/s² of the physics car, 3455 N of the published one."""
     assert of().needed_n == pytest.approx(2989.0, abs=1.0)
     assert of("plant.variant=published").needed_n == pytest.approx(3455.0, abs=1.0)
@@ -338,7 +335,7 @@ def settled_dstar(force_difference_n: float, *settings: str) -> float:
 
 
 @pytest.mark.parametrize("friction", [0.3, 0.9])
-def test_tires_end_where_the_nonlinear_car_slides(friction: float) -> None:
+def test_tires_end_where_the_nonlinear_car_slides(friction):
     """Below the limit X_diff holds what it should; a tenth above, the rear axle is gone."""
     setting = f"plant.friction={friction}"
     carried = of(setting, "limits.force_difference_n=20000").carries_mps2
@@ -351,7 +348,7 @@ def test_tires_end_where_the_nonlinear_car_slides(friction: float) -> None:
     assert abs(sliding - 1.1 * carried) > 0.3 * carried
 
 
-def test_the_smaller_of_limit_and_tires_counts() -> None:
+def test_the_smaller_of_limit_and_tires_counts():
     tight, wide = of("limits.force_difference_n=1000"), of("limits.force_difference_n=20000")
     assert tight.available_n == tight.limit_n == 1000.0
     assert not tight.enough
@@ -361,12 +358,12 @@ def test_the_smaller_of_limit_and_tires_counts() -> None:
     assert "enough: " in str(wide)
 
 
-def test_it_is_the_largest_of_the_reference_that_counts() -> None:
+def test_it_is_the_largest_of_the_reference_that_counts():
     assert of(name="lane-change").reference_mps2 == pytest.approx(1.0, rel=1e-4)
     assert of(name="lane-change").enough
 
 
-def test_chapter_2_has_no_tires() -> None:
+def test_chapter_2_has_no_tires():
     scenario = load("chapter-2")
     assert control_authority(scenario, network_of(scenario)) is None
 
@@ -383,9 +380,7 @@ def acceleration_per_nm(scenario: Scenario) -> float:
 
 @pytest.mark.parametrize("latency", [0, 1, 3])
 @pytest.mark.parametrize("left", [0.0, 0.5])
-def test_without_noise_it_is_what_the_loss_does_until_the_next_command_acts(
-    latency: int, left: float
-) -> None:
+def test_without_noise_it_is_what_the_loss_does_until_the_next_command_acts(latency, left):
     """One tick to show and ``latency`` more to act: a constant acceleration from rest."""
     scenario = load("ideal", [f"latency_ticks={latency}", f"fault.left={left}"])
     found = unavoidable(scenario, np.full(50, STEADY_NM))
@@ -406,9 +401,7 @@ def responses(scenario: Scenario, command: float, ticks: int) -> FloatArray:
 
 
 @pytest.mark.parametrize("noise", [0.001, 0.005, 0.05])
-def test_with_noise_the_loss_shows_when_its_evidence_is_that_of_the_allowed_alarms(
-    noise: float,
-) -> None:
+def test_with_noise_the_loss_shows_when_its_evidence_is_that_of_the_allowed_alarms(noise):
     scenario = load("ideal", [f"plant.sensor.noise_mps2={noise}", "latency_ticks=2"])
     found = unavoidable(scenario, np.full(1000, STEADY_NM))
     assert found is not None
@@ -420,7 +413,7 @@ def test_with_noise_the_loss_shows_when_its_evidence_is_that_of_the_allowed_alar
     assert found.deviation_mps2 == pytest.approx(abs(deviation[ticks + 1]), rel=1e-9)
 
 
-def test_more_noise_fewer_alarms_and_a_smaller_loss_take_longer() -> None:
+def test_more_noise_fewer_alarms_and_a_smaller_loss_take_longer():
     def ticks(*settings: str) -> int:
         scenario = load("ideal", ["plant.sensor.noise_mps2=0.005", *settings])
         found = unavoidable(scenario, np.full(2000, STEADY_NM))
@@ -434,7 +427,7 @@ def test_more_noise_fewer_alarms_and_a_smaller_loss_take_longer() -> None:
     assert ticks("plant.sensor.resolution_mps2=0.05") > usual
 
 
-def test_coloured_noise_is_weighed_by_its_covariance() -> None:
+def test_coloured_noise_is_weighed_by_its_covariance():
     """δᵀ R⁻¹ δ / 2 with all of R, from long before the loss; no whitening filter."""
     noise, corner_hz, before = 0.005, 200.0, 100
     scenario = load(
@@ -458,7 +451,7 @@ def test_coloured_noise_is_weighed_by_its_covariance() -> None:
     assert found.detection_ticks == ticks > white.detection_ticks
 
 
-def test_a_dead_time_of_the_actuator_delays_the_loss_as_well() -> None:
+def test_a_dead_time_of_the_actuator_delays_the_loss_as_well():
     immediate, late = (
         unavoidable(
             load("ideal", [f"plant.torque_actuator.dead_time_s={dead_time_s}"]),
@@ -469,7 +462,7 @@ def test_a_dead_time_of_the_actuator_delays_the_loss_as_well() -> None:
     assert immediate == late
 
 
-def test_a_loss_that_does_nothing_never_shows() -> None:
+def test_a_loss_that_does_nothing_never_shows():
     noisy = load("ideal", ["plant.sensor.noise_mps2=0.005"])
     assert unavoidable(noisy, np.zeros(1000)) is None
     assert unavoidable(noisy, np.full(3, STEADY_NM)) is None  # too short to decide

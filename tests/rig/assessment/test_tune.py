@@ -1,7 +1,5 @@
 """``can-rig tune``: what it promises of its choice, checked by other means than its own."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -26,7 +24,7 @@ from can_rig.assessment.tuning.candidate import (
     with_tuning,
 )
 from can_rig.assessment.tuning.report import as_dict, options, rows
-from can_rig.assessment.tuning.search import LONGEST_FRONT, Tunings, tune
+from can_rig.assessment.tuning.search import LONGEST_FRONT, tune
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.controls import controller_table
 from can_rig.scenario.settings import Scenario
@@ -43,7 +41,7 @@ BOTH = ("on-confirmation", "always")
 
 
 @pytest.fixture(scope="module", params=BOTH)
-def found(request: pytest.FixtureRequest) -> Tunings:
+def found(request):
     return found_for(f"design.compensation={request.param}")
 
 
@@ -61,7 +59,7 @@ def crossover_margin(table, car: Car, tick_s: float) -> float:  # type: ignore[n
     return min(margins)
 
 
-def test_every_offer_has_the_delay_margin_at_every_vertex(found: Tunings) -> None:
+def test_every_offer_has_the_delay_margin_at_every_vertex(found):
     """By ``delay_margins``, which comes from the loop gain's crossovers."""
     scenario = found.scenario
     some = cars(scenario.model, parameter_ranges(scenario.model, 0.2))
@@ -81,7 +79,7 @@ def test_every_offer_has_the_delay_margin_at_every_vertex(found: Tunings) -> Non
         assert max(loop.spectral_radius() for loop in false_alarms) < 1.0
 
 
-def test_a_cell_that_ends_with_it_shows_what_to_run(found: Tunings) -> None:
+def test_a_cell_that_ends_with_it_shows_what_to_run(found):
     chosen, said = found.chosen.design, repr(found)
     assert f"{len(found.front)} tunings of {found.tried} tried for" in said
     assert f"chosen: design.tau_s = {chosen.tau_s:g}, design.alpha = {chosen.alpha}, " in said
@@ -90,7 +88,7 @@ def test_a_cell_that_ends_with_it_shows_what_to_run(found: Tunings) -> None:
     assert keys(design) == keys(chosen)
 
 
-def test_cars_from_inside_the_box_are_stable_too(found: Tunings) -> None:
+def test_cars_from_inside_the_box_are_stable_too(found):
     """What the vertices do not prove."""
     scenario, generator = found.scenario, np.random.default_rng(5)
     box, table = parameter_ranges(scenario.model, 0.2), table_of(found.scenario, found.chosen)
@@ -105,7 +103,7 @@ def test_cars_from_inside_the_box_are_stable_too(found: Tunings) -> None:
         assert delay_margin(table, [car], scenario.tick_s) >= found.chosen.delay_margin_ticks
 
 
-def test_the_front_is_the_front_of_all_that_would_do() -> None:
+def test_the_front_is_the_front_of_all_that_would_do():
     """By brute force: no robust tuning beats a tuning of the front in both measures."""
     scenario = scenario_of()
     some = cars(scenario.model, parameter_ranges(scenario.model, 0.0, ["speed_mps=8..12"]))
@@ -126,7 +124,7 @@ def test_the_front_is_the_front_of_all_that_would_do() -> None:
     assert len(best) < len(good)
 
 
-def test_what_passes_comes_to_rest_in_drives_with_its_spare_tick(found: Tunings) -> None:
+def test_what_passes_comes_to_rest_in_drives_with_its_spare_tick(found):
     """Two vertices, D* a tick later than is known, the loss in the middle; ``simulate`` alone."""
     scenario = found.scenario
     table = controller_table(dataclasses.replace(scenario, design=found.chosen.design), None)
@@ -143,7 +141,7 @@ def test_what_passes_comes_to_rest_in_drives_with_its_spare_tick(found: Tunings)
             assert np.abs(rest).max() < 0.05
 
 
-def test_the_peak_is_that_of_a_run_and_the_unavoidable_is_below_it(found: Tunings) -> None:
+def test_the_peak_is_that_of_a_run_and_the_unavoidable_is_below_it(found):
     scenario, chosen = found.scenario, found.chosen
     loss, ticks = 2500, 4000
     left = np.ones((ticks, 2))
@@ -159,7 +157,7 @@ def test_the_peak_is_that_of_a_run_and_the_unavoidable_is_below_it(found: Tuning
     assert chosen.peak_ratio >= 1.0 - 1e-9
 
 
-def test_the_noise_is_that_of_a_long_run(found: Tunings) -> None:
+def test_the_noise_is_that_of_a_long_run(found):
     """Statistics of a simulation against the covariance equation, in the worse of the states."""
     sensor = dataclasses.replace(found.scenario.model.sensor, noise_mps2=1e-4)
     scenario = dataclasses.replace(
@@ -183,7 +181,7 @@ def test_the_noise_is_that_of_a_long_run(found: Tunings) -> None:
     assert max(torques) == pytest.approx(chosen.noise_to_torque, rel=0.05)
 
 
-def test_the_goal_at_one_and_two_ticks_of_latency() -> None:
+def test_the_goal_at_one_and_two_ticks_of_latency():
     for latency in (1, 2):
         chosen = found_for(f"latency_ticks={latency}", share=0.0).chosen
         assert chosen.peak_ratio < 4.0
@@ -191,12 +189,12 @@ def test_the_goal_at_one_and_two_ticks_of_latency() -> None:
         assert chosen.delay_margin_ticks >= 1
 
 
-def test_on_confirmation_beats_always() -> None:
+def test_on_confirmation_beats_always():
     confirmed, always = (found_for(f"design.compensation={each}") for each in BOTH)
     assert confirmed.chosen.peak_mps2 < 0.5 * always.chosen.peak_mps2
 
 
-def test_json_and_table_tell_of_the_same_front(found: Tunings) -> None:
+def test_json_and_table_tell_of_the_same_front(found):
     values = as_dict(found)
     assert json.loads(json.dumps(values, allow_nan=False)) == values
     assert len(values["front"]) == len(found.front)
@@ -211,7 +209,7 @@ def test_json_and_table_tell_of_the_same_front(found: Tunings) -> None:
     assert options(found.chosen).count("--set design.") == 4
 
 
-def test_the_loops_that_are_judged_are_those_of_the_law() -> None:
+def test_the_loops_that_are_judged_are_those_of_the_law():
     scenario = with_tuning(scenario_of(), (0.0002, 1, 0.0033, 2))
     table = trusting_table(scenario)
     (car,) = cars(scenario.model, {})

@@ -1,10 +1,7 @@
 """``can-rig tune`` on the command line: bad words, its picture, table, options and JSON."""
 
-from __future__ import annotations
-
 import json
 import re
-from pathlib import Path
 
 import matplotlib.image
 import pytest
@@ -36,7 +33,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("arguments", "reason"), BAD.values(), ids=BAD)
-def test_what_is_wrong_is_one_line_with_exit_status_2(arguments: list[str], reason: str) -> None:
+def test_what_is_wrong_is_one_line_with_exit_status_2(arguments, reason):
     done = asked("tune", *arguments)
     assert done.returncode == 2, done.stderr
     (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
@@ -44,9 +41,7 @@ def test_what_is_wrong_is_one_line_with_exit_status_2(arguments: list[str], reas
     assert "Traceback" not in done.stderr
 
 
-def test_the_command_writes_the_picture_the_table_and_the_options(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_writes_the_picture_the_table_and_the_options(tmp_path, monkeypatch):
     monkeypatch.setattr(search, "grid", lambda scenario: SMALL)
     monkeypatch.setenv("COLUMNS", "80")
     settings = [word for setting in SETTINGS for word in ("--set", setting)]
@@ -74,7 +69,7 @@ def test_the_command_writes_the_picture_the_table_and_the_options(
     )  # fmt: skip
 
 
-def test_where_none_passes_the_table_says_why_and_the_status_is_1() -> None:
+def test_where_none_passes_the_table_says_why_and_the_status_is_1():
     weak = ("--set", "limits.force_difference_n=100.0")
     done = asked("tune", "default", *weak)
     assert done.returncode == 1

@@ -1,7 +1,5 @@
 """What ``can-rig tune`` refuses, why, and what limits of noise and commands do to its choice."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 
@@ -30,7 +28,7 @@ pytestmark = compiled_only
 NOISY = "plant.sensor.noise_mps2=0.005"
 
 
-def test_a_noise_limit_of_x_diff_is_kept_or_refuses() -> None:
+def test_a_noise_limit_of_x_diff_is_kept_or_refuses():
     free, limited = found_for(NOISY, share=0.0), found_for(NOISY, share=0.0, limit=40.0)
     assert all(t.noise_to_force * 0.005 <= 40.0 for t in (*limited.nominal, *limited.front))
     assert free.chosen.noise_to_force * 0.005 > 40.0
@@ -42,7 +40,7 @@ def test_a_noise_limit_of_x_diff_is_kept_or_refuses() -> None:
     assert refused.value.refusals == Counter({Refusal.FORCE_NOISE: len(SMALL)})
 
 
-def test_a_noise_limit_of_the_torque_is_kept_or_refuses() -> None:
+def test_a_noise_limit_of_the_torque_is_kept_or_refuses():
     free, limited = found_for(NOISY, share=0.0), found_for(NOISY, share=0.0, torque_limit=20.0)
     assert all(t.noise_to_torque * 0.005 <= 20.0 for t in limited.front)
     assert free.chosen.noise_to_torque * 0.005 > 20.0
@@ -51,7 +49,7 @@ def test_a_noise_limit_of_the_torque_is_kept_or_refuses() -> None:
     assert refused.value.refusals[Refusal.TORQUE_NOISE] == len(SMALL)
 
 
-def test_designs_that_reach_a_limit_are_the_last_resort() -> None:
+def test_designs_that_reach_a_limit_are_the_last_resort():
     """42.5 N m hold 1 m/s²: a limit of 46 leaves room for slow designs alone."""
     tight = found_for("limits.torque_nm=46.0", share=0.0)
     assert all(t.within_limits and t.torque_after_nm < 46.0 for t in tight.front)
@@ -64,7 +62,7 @@ def test_designs_that_reach_a_limit_are_the_last_resort() -> None:
     assert "reach the limits" in why(over)
 
 
-def test_more_ticks_to_spare_cost_peak() -> None:
+def test_more_ticks_to_spare_cost_peak():
     one, seven = found_for(share=0.0), found_for("budget.spare_ticks=7", share=0.0)
     assert (one.spare_ticks, seven.spare_ticks) == (1, 7)
     assert seven.chosen.delay_margin_ticks is not None
@@ -72,7 +70,7 @@ def test_more_ticks_to_spare_cost_peak() -> None:
     assert seven.chosen.peak_mps2 > one.chosen.peak_mps2
 
 
-def test_a_grid_of_round_numbers_follows_the_tick_and_the_car() -> None:
+def test_a_grid_of_round_numbers_follows_the_tick_and_the_car():
     for tick_s in (0.0001, 0.001, 0.005):
         values = grid(load("thesis-step", [f"tick_s={tick_s}"]))
         assert len(set(values)) == len(values) < 3000
@@ -84,7 +82,7 @@ def test_a_grid_of_round_numbers_follows_the_tick_and_the_car() -> None:
     assert (0.0022, 2, 0.0047, 3) in grid(load("thesis-step"))
 
 
-def test_a_zero_on_the_right_slows_the_grid() -> None:
+def test_a_zero_on_the_right_slows_the_grid():
     """Those of (3.36) lie at 20.2 rad/s: time constants around 50 ms, and none far below."""
     values = grid(load("nonminimum-phase"))
     assert {(0.0047, 1, 0.1, 3), (0.047, 1, 0.1, 2)} <= set(values)
@@ -92,21 +90,21 @@ def test_a_zero_on_the_right_slows_the_grid() -> None:
     assert max(alpha_q * tau_q_s for _, _, tau_q_s, alpha_q in values) < 0.5
 
 
-def test_actuators_that_lag_raise_the_orders_of_the_grid() -> None:
+def test_actuators_that_lag_raise_the_orders_of_the_grid():
     """By a lag each: G1 from 2 to 3, G2 from 1 to 2."""
     values = grid(load("default"))
     assert {alpha for _, alpha, _, _ in values} == {2, 3}
     assert {alpha_q for _, _, _, alpha_q in values} == {3, 4, 5}
 
 
-def test_an_unstable_or_impossible_candidate_is_refused() -> None:
+def test_an_unstable_or_impossible_candidate_is_refused():
     scenario = scenario_of(ALWAYS, "latency_ticks=2")
     car = cars(scenario.model, {})
     assert assess(scenario, (0.0001, 1, 0.0001, 2), car, 0) is Refusal.NOMINAL  # too fast
     assert assess(scenario, (0.02, 1, 0.02, 1), car, 0) is Refusal.DESIGN  # q̂/G1 improper
 
 
-def test_a_candidate_that_check_calls_thin_is_refused() -> None:
+def test_a_candidate_that_check_calls_thin_is_refused():
     """|S| peaks at 8.3 once the motor of the pendulum is lost, though the loop is stable."""
     scenario, candidate = load("pendulum"), (0.0033, 3, 0.012, 3)
     car = cars(scenario.model, {})
@@ -117,7 +115,7 @@ def test_a_candidate_that_check_calls_thin_is_refused() -> None:
     )
 
 
-def test_the_box() -> None:
+def test_the_box():
     model = load("thesis-step").model
     box = parameter_ranges(model, 0.2)
     assert box["mass_kg"] == pytest.approx((1120.0, 1680.0))
@@ -140,7 +138,7 @@ def refusals_for(*settings: str, share: float = 0.2, spare: int = 1) -> NoTuning
     return raised.value
 
 
-def test_the_limit_of_x_diff_that_no_tuning_can_meet_is_named_with_what_is_needed() -> None:
+def test_the_limit_of_x_diff_that_no_tuning_can_meet_is_named_with_what_is_needed():
     """22 m/s, 1750 kg: what the worst vertex needs, by a linear equation at rest."""
     heavy = ("plant.speed_mps=22", "plant.mass_kg=1750", "tick_s=0.002")
     error = refusals_for(*heavy, "limits.force_difference_n=4000.0")
@@ -163,7 +161,7 @@ def test_the_limit_of_x_diff_that_no_tuning_can_meet_is_named_with_what_is_neede
     assert "\n" not in str(error)
 
 
-def test_what_is_refused_is_counted_by_the_first_test_that_it_fails() -> None:
+def test_what_is_refused_is_counted_by_the_first_test_that_it_fails():
     tiny = refusals_for(ALWAYS, share=0.0, spare=8)
     assert set(tiny.refusals) <= {Refusal.DESIGN, Refusal.NOMINAL, Refusal.NOMINAL_SPARE}
     assert tiny.refusals[Refusal.NOMINAL_SPARE] > 0
@@ -175,7 +173,7 @@ def test_what_is_refused_is_counted_by_the_first_test_that_it_fails() -> None:
     ]
 
 
-def test_the_advice_is_about_the_last_test_that_any_reaches() -> None:
+def test_the_advice_is_about_the_last_test_that_any_reaches():
     scenario, nominal = scenario_of(), cars(scenario_of().model, {})
 
     def advised(**counts: int) -> str:
@@ -193,13 +191,13 @@ def test_the_advice_is_about_the_last_test_that_any_reaches() -> None:
         assert advice(scenario, nominal, Counter([reason]))
 
 
-def test_a_car_that_the_budget_does_not_know_of_is_a_false_alarm() -> None:
+def test_a_car_that_the_budget_does_not_know_of_is_a_false_alarm():
     error = refusals_for("budget.box=0", share=0.3)
     assert error.refusals[Refusal.FALSE_ALARM] > 0.5 * len(SMALL)
     assert "a larger budget.box" in error.advice
 
 
-def test_a_limit_that_keeps_the_loop_from_resting_is_the_reason() -> None:
+def test_a_limit_that_keeps_the_loop_from_resting_is_the_reason():
     """A torque limit just above what holds the step of the nominal car, and a box around that."""
     cause = refusals_for("limits.torque_nm=43.0").refusals
     assert cause[Refusal.TORQUE_LIMIT] > 0

@@ -1,7 +1,5 @@
 """A small search for tests: a scenario, a few candidates, a box of cars."""
 
-from __future__ import annotations
-
 import os
 from functools import cache
 from itertools import product

@@ -1,7 +1,6 @@
 """One contract for every bus: what the rig relies on, whatever carries the frames."""
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import can
@@ -64,11 +63,11 @@ class BusContract:
     refuses_when_closed = True
 
     @pytest.fixture
-    def name(self, tmp_path: Path) -> str:
+    def name(self, tmp_path):
         raise NotImplementedError
 
     @pytest.fixture
-    def near(self, name: str) -> Iterator[Open]:
+    def near(self, name):
         """Opens buses in this process and closes them after the test."""
         opened = []
 
@@ -81,11 +80,11 @@ class BusContract:
             bus.shutdown()
 
     @pytest.fixture
-    def far(self, near: Open) -> Iterator[Open]:
+    def far(self, near):
         """Opens buses at the other end: here too, unless a subclass puts them elsewhere."""
         yield near
 
-    def test_every_kind_of_frame_survives(self, near: Open, far: Open) -> None:
+    def test_every_kind_of_frame_survives(self, near, far):
         sender, receiver = near(), far()
 
         @settings(max_examples=100)
@@ -100,7 +99,7 @@ class BusContract:
 
         survives()
 
-    def test_burst_arrives_whole_and_in_order(self, near: Open, far: Open) -> None:
+    def test_burst_arrives_whole_and_in_order(self, near, far):
         if not self.lossless:
             pytest.skip("NOT PROMISED: this bus may lose frames of a burst")
         sender, receiver = near(), far()
@@ -109,7 +108,7 @@ class BusContract:
         assert numbers(receiver, self.burst) == list(range(self.burst))
         assert receiver.recv(0) is None
 
-    def test_frames_go_both_ways(self, near: Open, far: Open) -> None:
+    def test_frames_go_both_ways(self, near, far):
         if not self.receive_own:
             pytest.skip("NOT PROMISED: this bus echoes a node's own frames")
         one, other = near(), far()
@@ -119,7 +118,7 @@ class BusContract:
             other.send(frame(number + 100))
             assert numbers(one, 1) == [number + 100]
 
-    def test_every_listener_hears_every_frame(self, near: Open, far: Open) -> None:
+    def test_every_listener_hears_every_frame(self, near, far):
         sender = near()
         listeners = [far(), near(), far(), near()]
         for number in range(10):
@@ -127,7 +126,7 @@ class BusContract:
         for listener in listeners:
             assert numbers(listener, 10) == list(range(10))
 
-    def test_frames_of_several_senders_each_in_order(self, near: Open, far: Open) -> None:
+    def test_frames_of_several_senders_each_in_order(self, near, far):
         senders, listener = [near(), far(), near()], near()
         for number in range(4):  # few: the senders themselves do not read
             for identifier, sender in enumerate(senders):
@@ -137,7 +136,7 @@ class BusContract:
             mine = [msg.data[0] for msg in received if msg and msg.arbitration_id == identifier]
             assert mine == list(range(4))
 
-    def test_own_frames_are_not_echoed(self, near: Open, far: Open) -> None:
+    def test_own_frames_are_not_echoed(self, near, far):
         if not self.receive_own:
             pytest.skip("NOT PROMISED: this bus echoes a node's own frames")
         sender, witness = near(), far()
@@ -145,7 +144,7 @@ class BusContract:
         assert numbers(witness, 1) == [1]  # it has been on the bus
         assert sender.recv(0) is None
 
-    def test_own_frames_on_request(self, near: Open, far: Open) -> None:
+    def test_own_frames_on_request(self, near, far):
         if not self.receive_own:
             pytest.skip("NOT PROMISED: this bus does not mark a node's own frames")
         sender, witness = near(receive_own_messages=True), far()
@@ -156,7 +155,7 @@ class BusContract:
         assert echo.data == received.data
         assert (echo.is_rx, received.is_rx) == (False, self.marks_own)
 
-    def test_filters_pass_what_matches_and_nothing_else(self, near: Open, far: Open) -> None:
+    def test_filters_pass_what_matches_and_nothing_else(self, near, far):
         filters = [
             {"can_id": 0x120, "can_mask": 0x7F0},
             {"can_id": 0x300, "can_mask": 0x7FF, "extended": True},
@@ -170,13 +169,13 @@ class BusContract:
         assert receiver.recv(0) is None
 
     @pytest.mark.parametrize("timeout_s", [0, 0.001, 0.06])
-    def test_nothing_comes_of_silence(self, near: Open, far: Open, timeout_s: float) -> None:
+    def test_nothing_comes_of_silence(self, near, far, timeout_s):
         sender, receiver = near(), far()
         assert receiver.recv(timeout_s) is None
         sender.send(frame(5))
         assert numbers(receiver, 1) == [5]  # and a timeout leaves the bus as it was
 
-    def test_a_late_joiner_hears_the_next_frame(self, near: Open, far: Open) -> None:
+    def test_a_late_joiner_hears_the_next_frame(self, near, far):
         sender, early = near(), near()
         for number in range(10):
             late = far()
@@ -185,19 +184,19 @@ class BusContract:
             late.shutdown()
         assert numbers(early, 10) == list(range(10))
 
-    def test_who_leaves_disturbs_nobody(self, near: Open, far: Open) -> None:
+    def test_who_leaves_disturbs_nobody(self, near, far):
         sender, stays, leaves = near(), near(), far()
         sender.send(frame(1))
         leaves.shutdown()
         sender.send(frame(2))
         assert numbers(stays, 2) == [1, 2]
 
-    def test_shutdown_twice_and_as_context(self, near: Open) -> None:
+    def test_shutdown_twice_and_as_context(self, near):
         with near() as bus:
             pass
         bus.shutdown()
 
-    def test_a_closed_bus_refuses(self, near: Open) -> None:
+    def test_a_closed_bus_refuses(self, near):
         if not self.refuses_when_closed:
             pytest.skip("NOT PROMISED: this bus raises whatever its closed socket raises")
         bus = near()
@@ -207,7 +206,7 @@ class BusContract:
         with pytest.raises(can.CanOperationError):
             bus.recv(0)
 
-    def test_a_notifier_reads_it(self, near: Open, far: Open) -> None:
+    def test_a_notifier_reads_it(self, near, far):
         sender, receiver = near(), near()
         reader = can.BufferedReader()
         with can.Notifier(receiver, [reader], timeout=0.01):
@@ -216,7 +215,7 @@ class BusContract:
             received = [reader.get_message(TIMEOUT_S) for _ in range(10)]
         assert [msg and msg.data[0] for msg in received] == list(range(10))
 
-    def test_descriptor(self, near: Open) -> None:
+    def test_descriptor(self, near):
         if not self.has_descriptor:
             pytest.skip("NOT PROMISED: this bus has no file descriptor")
         assert near().fileno() >= 0

@@ -2,7 +2,6 @@
 
 import errno
 import logging
-from pathlib import Path
 from typing import Any
 
 import can
@@ -15,12 +14,12 @@ from can_rig.errors import BusError, RigError
 
 
 @pytest.fixture(autouse=True)
-def own_buses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def own_buses(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
 
 @pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+def opened(monkeypatch):
     """The arguments for python-can, in place of a bus that this machine may lack."""
     asked: dict[str, Any] = {}
 
@@ -45,13 +44,13 @@ def failure(name: str) -> str:
 @pytest.mark.parametrize(
     ("name", "channel"), [("local", "rig"), ("local:", "rig"), ("local:x", "x"), ("local:7", "7")]
 )
-def test_local_by_name(name: str, channel: str) -> None:
+def test_local_by_name(name, channel):
     with open_bus(name) as bus:
         assert isinstance(bus, LocalBus)
         assert bus.channel == channel
 
 
-def test_local_by_path(tmp_path: Path) -> None:
+def test_local_by_path(tmp_path):
     with open_bus(f"local:{tmp_path}") as one, open_bus(f"local:{tmp_path}") as other:
         one.send(can.Message(data=b"there"))
         received = other.recv(5.0)
@@ -59,7 +58,7 @@ def test_local_by_path(tmp_path: Path) -> None:
         assert received.data == b"there"
 
 
-def test_arguments_in_the_name_and_beside_it() -> None:
+def test_arguments_in_the_name_and_beside_it():
     with open_bus("local:x?fd=true&tx_backlog=7", tx_backlog=9) as bus:
         assert isinstance(bus, LocalBus)
         assert bus.protocol is can.CanProtocol.CAN_FD
@@ -77,14 +76,12 @@ def test_arguments_in_the_name_and_beside_it() -> None:
         ("pcan?fd=False&x=0.5&y=a=b", {"interface": "pcan", "fd": False, "x": 0.5, "y": "a=b"}),
     ],
 )
-def test_what_a_name_asks_of_python_can(
-    name: str, expected: dict[str, Any], opened: dict[str, Any]
-) -> None:
+def test_what_a_name_asks_of_python_can(name, expected, opened):
     assert open_bus(name).channel_info == name  # for error lines, where python-can has no word
     assert opened == {"channel": None, "ignore_config": True, **expected}
 
 
-def test_a_users_configuration_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_users_configuration_changes_nothing(monkeypatch):
     monkeypatch.setitem(can.rc, "receive_own_messages", True)
     monkeypatch.setenv("CAN_INTERFACE", "virtual")
     monkeypatch.setenv("CAN_CHANNEL", "elsewhere")
@@ -93,7 +90,7 @@ def test_a_users_configuration_changes_nothing(monkeypatch: pytest.MonkeyPatch) 
         assert not bus.receive_own_messages
 
 
-def test_unknown_interface() -> None:
+def test_unknown_interface():
     assert failure("socketscan:vcan0").startswith(
         "unknown bus interface 'socketscan'; did you mean socketcan"
     )
@@ -103,7 +100,7 @@ def test_unknown_interface() -> None:
     assert "unknown bus interface ''" in failure("")
 
 
-def test_what_a_name_leaves_out_is_named() -> None:
+def test_what_a_name_leaves_out_is_named():
     assert failure("socketcan") == "bus 'socketcan': must name a channel, as in socketcan:vcan0"
     assert failure("slcan") == "bus 'slcan': must say channel, as in slcan:CHANNEL"
     assert failure("socketcand:nowhere") == (
@@ -114,7 +111,7 @@ def test_what_a_name_leaves_out_is_named() -> None:
     assert "unknown option foo; must be of fd, preserve_timestamps, " in failure("local:x?foo=1")
 
 
-def test_the_default_bus_carries_can_fd_where_the_network_has_it() -> None:
+def test_the_default_bus_carries_can_fd_where_the_network_has_it():
     frame = can.Message(arbitration_id=1, is_fd=True, data=bytes(16), is_extended_id=False)
     nodes = [open_for_node("local:x", (), True, fd=True) for _ in range(2)]
     with nodes[0], nodes[1]:
@@ -126,11 +123,11 @@ def test_the_default_bus_carries_can_fd_where_the_network_has_it() -> None:
 
 
 @pytest.mark.parametrize("query", ["fd", "=1", "a-b=1", "fd=true&&x"])
-def test_malformed_arguments(query: str) -> None:
+def test_malformed_arguments(query):
     assert "must be of the form key=value" in failure(f"local:x?{query}")
 
 
-def test_error_of_a_bus_is_one_line() -> None:
+def test_error_of_a_bus_is_one_line():
     assert "must be a name without '/'" in failure("local:a/b")
 
 
@@ -162,14 +159,12 @@ def raising(error: Exception) -> Any:
         (RuntimeError("two\nlines"), "cannot open bus 'socketcan:vcan0': two lines"),
     ],
 )
-def test_socketcan_tells_what_is_missing(
-    error: Exception, expected: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_socketcan_tells_what_is_missing(error, expected, monkeypatch):
     monkeypatch.setattr(can, "Bus", raising(error))
     assert failure("socketcan:vcan0") == expected
 
 
-def test_a_missing_adapter_is_no_case_for_vcan(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_adapter_is_no_case_for_vcan(monkeypatch):
     monkeypatch.setattr(can, "Bus", raising(OSError(errno.ENODEV, "No such device")))
     line = failure("socketcan:can0")
     assert line.startswith("no such CAN interface can0: is the adapter plugged in")
@@ -177,9 +172,7 @@ def test_a_missing_adapter_is_no_case_for_vcan(monkeypatch: pytest.MonkeyPatch) 
     assert "vcan" not in line
 
 
-def test_python_can_says_nothing_beside_our_line(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_python_can_says_nothing_beside_our_line(monkeypatch, capfd):
     root, library = logging.getLogger(), logging.getLogger("can")
     monkeypatch.setattr(root, "handlers", [])  # as in a program: pytest's would take the record
 
@@ -194,9 +187,7 @@ def test_python_can_says_nothing_beside_our_line(
     assert (library.propagate, library.handlers) == before
 
 
-def test_interface_that_is_down(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, opened: dict[str, Any]
-) -> None:
+def test_interface_that_is_down(tmp_path, monkeypatch, opened):
     monkeypatch.setattr(bus_module, "_NETWORK", tmp_path)
     flags = tmp_path / "vcan9" / "flags"
     flags.parent.mkdir()
@@ -208,9 +199,7 @@ def test_interface_that_is_down(
     assert opened["channel"] == "vcan9"
 
 
-def test_interface_without_can_fd(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, opened: dict[str, Any]
-) -> None:
+def test_interface_without_can_fd(tmp_path, monkeypatch, opened):
     monkeypatch.setattr(bus_module, "_NETWORK", tmp_path)
     mtu = tmp_path / "vcan9" / "mtu"
     mtu.parent.mkdir()
@@ -223,7 +212,7 @@ def test_interface_without_can_fd(
     assert opened["fd"] is True
 
 
-def test_missing_package_comes_with_its_recipe(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_package_comes_with_its_recipe(monkeypatch):
     error = can.CanInterfaceNotImplementedError("msgpack not installed")
     monkeypatch.setattr(can, "Bus", raising(error))
     assert failure("udp_multicast:239.74.163.2") == (

@@ -2,9 +2,7 @@
 
 import multiprocessing
 import os
-from collections.abc import Iterator
 from multiprocessing.managers import BaseManager
-from pathlib import Path
 from typing import Any
 
 import can
@@ -12,12 +10,12 @@ import pytest
 
 from can_rig.buses.bus import open_bus
 from can_rig.errors import BusError
-from tests.rig.buses.contract import BusContract, Open, frame
+from tests.rig.buses.contract import BusContract, frame
 
 
 class TestLocal(BusContract):
     @pytest.fixture
-    def name(self, tmp_path: Path) -> str:
+    def name(self, tmp_path):
         return f"local:{tmp_path}"
 
 
@@ -29,14 +27,14 @@ _Elsewhere.register("open_bus", open_bus, exposed=["send", "recv", "shutdown"])
 
 
 @pytest.fixture(scope="module")
-def elsewhere() -> Iterator[_Elsewhere]:
+def elsewhere():
     with _Elsewhere(ctx=multiprocessing.get_context("spawn")) as manager:
         yield manager
 
 
 class TestLocalAcrossProcesses(TestLocal):
     @pytest.fixture
-    def far(self, name: str, elsewhere: Any) -> Iterator[Open]:
+    def far(self, name, elsewhere):
         opened = []
 
         def open_far(**kwargs: Any) -> can.BusABC:
@@ -52,7 +50,7 @@ class TestVirtual(BusContract):
     has_descriptor = False
 
     @pytest.fixture
-    def name(self, tmp_path: Path) -> str:
+    def name(self, tmp_path):
         return f"virtual:{tmp_path}"
 
 
@@ -62,12 +60,12 @@ class TestUdpMulticast(BusContract):
     refuses_when_closed = False
 
     @pytest.fixture
-    def name(self) -> str:
+    def name(self):
         port = 20_000 + os.getpid() % 40_000  # a different port for each test process
         return f"udp_multicast:239.74.163.2?port={port}"
 
     @pytest.fixture
-    def near(self, name: str) -> Iterator[Open]:
+    def near(self, name):
         """Skips where a frame does not even come back to its own sender."""
         try:
             with open_bus(name) as bus:
@@ -88,5 +86,5 @@ class TestSocketcan(BusContract):
     refuses_when_closed = False
 
     @pytest.fixture
-    def name(self) -> str:
+    def name(self):
         return "socketcan:vcan0"

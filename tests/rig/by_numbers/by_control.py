@@ -5,8 +5,6 @@ mirrored at the unit circle, or 0.1/τq within it, U, R and F̂ are rational fun
 hand, and P comes of a Taylor series at 0 and a Vandermonde system.
 """
 
-from __future__ import annotations
-
 import control
 import numpy as np
 from scipy import linalg, signal

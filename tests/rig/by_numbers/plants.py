@@ -8,8 +8,6 @@
   fighter's.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,11 +1,8 @@
 """Unstable and non-minimum-phase plants, whole scenarios: against python-control on its own."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,7 +33,7 @@ LINEAR = (
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_step_the_loss_and_its_peak_are_python_controls(name: str) -> None:
+def test_the_step_the_loss_and_its_peak_are_python_controls(name):
     scenario = load(name, LINEAR)
     table = controller_table(scenario, None)
     left = np.ones((scenario.ticks, 2))
@@ -53,9 +50,7 @@ def test_the_step_the_loss_and_its_peak_are_python_controls(name: str) -> None:
     ("left", "compensation"), [(HEALTHY, "off"), (HEALTHY, "always"), (TORQUE_DEAD, "always")]
 )
 @pytest.mark.parametrize("name", [*NAMES, *PLANTS])
-def test_the_margins_are_python_controls(
-    name: str, left: tuple[float, float], compensation: str, tmp_path: Path
-) -> None:
+def test_the_margins_are_python_controls(name, left, compensation, tmp_path):
     file = written(tmp_path, name) if name in PLANTS else name
     scenario = load(file, (*LINEAR, f"design.compensation={compensation}"))
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
@@ -76,7 +71,7 @@ def said(scenario: Scenario) -> str:
     return " ".join(describe(scenario, plant_limitations(scenario)))
 
 
-def test_check_says_what_zeros_and_poles_make_impossible() -> None:
+def test_check_says_what_zeros_and_poles_make_impossible():
     assert said(load("nonminimum-phase")) == (
         "plant: zeros from X_diff at 2.37 ± 20.1j rad/s: for any compensation a loss can be "
         "halved up to 20.2 rad/s at most, or it is more than doubled elsewhere"
@@ -100,7 +95,7 @@ RIGHT_ZERO = ("plant.kind=transfer-functions", "plant.g2.poles=[2, -7]", "plant.
               "budget.box=0", "design.alpha=2")  # fmt: skip
 
 
-def test_a_zero_near_a_pole_is_said_to_cost_much() -> None:
+def test_a_zero_near_a_pole_is_said_to_cost_much():
     settings = (*RIGHT_ZERO, "plant.g1.zeros=[6]", "latency_ticks=20")
     words = said(load("thesis-step", settings))
     assert "|T| peaks at 2.08 or more" in words  # (6 + 2)/(6 - 2) e^(2·0.02)
@@ -117,14 +112,14 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("setting", REFUSED)
-def test_what_cannot_be_is_refused_in_one_line(setting: str) -> None:
+def test_what_cannot_be_is_refused_in_one_line(setting):
     with pytest.raises(ScenarioError, match=REFUSED[setting]) as refused:
         controller_table(load("pendulum", re.split(r" (?=plant)", setting)), None)
     assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("gains", [(1.2, 1.0), (0.8, 1.2), (1.1, 1.1), (0.9, 0.8)])
-def test_another_pendulum_is_not_taken_for_a_loss(gains: tuple[float, float]) -> None:
+def test_another_pendulum_is_not_taken_for_a_loss(gains):
     """With ``budget.box = 0`` these are, and the second and third fall after the loss."""
     own = ["duration_s=5", "fault.at_s=3.5", "budget.box=0.2", "model.b=[[0, 0], [4, 2]]"]
     scenario = load("pendulum", [*own, f"plant.b=[[0, 0], [{4 * gains[0]}, {2 * gains[1]}]]"])
@@ -144,7 +139,7 @@ TUNINGS: dict[str, list[Values]] = {
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_tune_tells_what_holds_the_plant_and_costs_least(name: str) -> None:
+def test_tune_tells_what_holds_the_plant_and_costs_least(name):
     scenario = load(name)
     found = tune(scenario, cars_of(scenario, 0.0), candidates=TUNINGS[name])
     peaks = [tuning.peak_mps2 for tuning in found.front]
@@ -153,7 +148,7 @@ def test_tune_tells_what_holds_the_plant_and_costs_least(name: str) -> None:
     assert check_stability(replace(scenario, design=found.chosen.design)).stable
 
 
-def test_the_tuning_that_is_named_for_an_unstable_car_holds_it() -> None:
+def test_the_tuning_that_is_named_for_an_unstable_car_holds_it():
     car = ("plant.speed_mps=60", "plant.rear_cornering_stiffness_n_per_rad=1e3")
     with pytest.raises(ScenarioError, match=r"unstable \(healthy\)") as refused:
         refuse_unstable(load("thesis-step", car))
@@ -162,12 +157,12 @@ def test_the_tuning_that_is_named_for_an_unstable_car_holds_it() -> None:
     refuse_unstable(load("thesis-step", [*car, *settings]))
 
 
-def test_a_channel_that_is_zero_is_called_so_beside_one_that_integrates() -> None:
+def test_a_channel_that_is_zero_is_called_so_beside_one_that_integrates():
     with pytest.raises(ScenarioError, match=r"G1\(s\) is identically zero"):
         continuous_plant(load("satellite", ["plant.g1.num=[0]"]).plant)
 
 
-def test_a_bias_of_the_sensor_fades_from_the_fault_estimate_of_an_integrating_plant() -> None:
+def test_a_bias_of_the_sensor_fades_from_the_fault_estimate_of_an_integrating_plant():
     """As the step response of (s/(s + λ))², λ = 0.1/τq: whatever C makes of it, d̂ knows of."""
     keys = ("fault.kind=sensor-biased", "fault.bias_mps2=0.01", "fault.at_s=1", "duration_s=13")
     scenario = load("satellite", ("reference.amplitude_mps2=0", "plant.sensor.noise_mps2=0", *keys))
@@ -180,7 +175,7 @@ def test_a_bias_of_the_sensor_fades_from_the_fault_estimate_of_an_integrating_pl
     )
 
 
-def test_what_no_tuning_holds_is_not_told_to_be_tuned() -> None:
+def test_what_no_tuning_holds_is_not_told_to_be_tuned():
     """An integrating plant without a wheel and without compensation drifts, however it is tuned."""
     with pytest.raises(ScenarioError, match=r"wheel dead.*nothing holds it then") as refused:
         refuse_unstable(load("satellite", ["design.compensation=off"]))

@@ -1,9 +1,5 @@
 """Further outputs of a plant by numbers, against scipy alone."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import can
 import cantools
 import numpy as np
@@ -29,7 +25,7 @@ PUSH = ("plant.e=[0, 0, 0, 1]", "disturbance={kind='push', size=3, at_s=0.5}")
 
 
 @pytest.mark.parametrize("settings", [(), PUSH], ids=["calm", "pushed"])
-def test_each_frame_says_the_row_of_the_states(tmp_path: Path, settings: tuple[str, ...]) -> None:
+def test_each_frame_says_the_row_of_the_states(tmp_path, settings):
     """The states follow from what the actuators apply and the world pushes, by the exponential."""
     scenario = load("two-masses", [SENSORS, "duration_s=3", "fault.at_s=1", *settings])
     logs = [tmp_path / "nodes.log", tmp_path / "none.log"]
@@ -81,7 +77,7 @@ def test_each_frame_says_the_row_of_the_states(tmp_path: Path, settings: tuple[s
         ("chapter-2", "{measures='yaw-rate', c=[1]}", "further outputs needs plant.kind = 'sta"),
     ],
 )  # fmt: skip
-def test_what_is_no_output_is_refused(name: str, sensor: str, said: str) -> None:
+def test_what_is_no_output_is_refused(name, sensor, said):
     with pytest.raises(ScenarioError) as caught:
         load(name, [f"sensor={sensor}"])
     assert said in str(caught.value)

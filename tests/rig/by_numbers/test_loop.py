@@ -1,11 +1,8 @@
 """The whole rig on plants by numbers, against python-control and scipy on their own."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +23,7 @@ from tests.rig.by_numbers.plants import PLANTS, written
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_a_run_is_what_scipy_makes_of_its_commands(tmp_path: Path, name: str) -> None:
+def test_a_run_is_what_scipy_makes_of_its_commands(tmp_path, name):
     """Both nodes, a bus, the loss at half time: the log's D* follows from its commands alone."""
     path = written(tmp_path, name)
     scenario = load(path, ["duration_s=10", "plant.sensor.noise_mps2=0"])
@@ -48,7 +45,7 @@ def test_a_run_is_what_scipy_makes_of_its_commands(tmp_path: Path, name: str) ->
     np.testing.assert_allclose(signals.dstar_mps2, trace.measurement, atol=6e-9)  # half an LSB
 
 
-def test_a_log_is_replayed_bit_for_bit_and_drawn_with_its_own_names(tmp_path: Path) -> None:
+def test_a_log_is_replayed_bit_for_bit_and_drawn_with_its_own_names(tmp_path):
     path = written(tmp_path, "aircraft")
     done = asked("run", path, "--out", tmp_path / "run", "--set", "duration_s=8")
     assert done.returncode == 0, done.stderr
@@ -68,7 +65,7 @@ def test_a_log_is_replayed_bit_for_bit_and_drawn_with_its_own_names(tmp_path: Pa
 
 
 @pytest.mark.parametrize(("name", "first"), [("column", "reflux"), ("aircraft", "elevator")])
-def test_check_speaks_of_the_plant(tmp_path: Path, name: str, first: str) -> None:
+def test_check_speaks_of_the_plant(tmp_path, name, first):
     done = asked("check", written(tmp_path, name))
     assert done.returncode == 0, done.stdout + done.stderr
     words = " ".join(done.stdout.split())
@@ -77,9 +74,7 @@ def test_check_speaks_of_the_plant(tmp_path: Path, name: str, first: str) -> Non
         assert word not in words
 
 
-def test_tune_finds_the_least_peak_for_other_plants_of_the_box(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tune_finds_the_least_peak_for_other_plants_of_the_box(tmp_path, monkeypatch):
     some: Sequence[Values] = [(0.01, 4, 0.056, 3), (0.047, 3, 0.1, 3), (0.0047, 3, 0.039, 2)]
     monkeypatch.setattr(search, "grid", lambda scenario: some)
     path = written(tmp_path, "two-masses")
@@ -94,7 +89,7 @@ def test_tune_finds_the_least_peak_for_other_plants_of_the_box(
     assert "must be plant.KEY=LOW..HIGH, as in plant.gain_1=0.8..1.2" in bad.stderr
 
 
-def test_the_box_of_a_slow_plant_is_driven_for_as_long_as_it_takes(tmp_path: Path) -> None:
+def test_the_box_of_a_slow_plant_is_driven_for_as_long_as_it_takes(tmp_path):
     column = load(written(tmp_path, "column"))
     some = cars(column.model, parameter_ranges(column.model, 0.2))
     assert [car.label for car in some][:2] == [
@@ -105,7 +100,7 @@ def test_the_box_of_a_slow_plant_is_driven_for_as_long_as_it_takes(tmp_path: Pat
     assert not found.stable
 
 
-def test_the_figures_of_a_scenario_are_those_of_its_continuous_loop(tmp_path: Path) -> None:
+def test_the_figures_of_a_scenario_are_those_of_its_continuous_loop(tmp_path):
     """Theorem 2.3.2 on any plant: d̂ is 0 while healthy and G1 u1 when channel 1 is lost."""
     path = written(tmp_path, "two-masses")
     fine = ["design.compensation=always", "design.estimator=zoh", "tick_s=0.002", "latency_ticks=0",

@@ -1,10 +1,7 @@
 """A plant by numbers in a scenario file: its transfer functions, its model, its names."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import control
 import numpy as np
@@ -31,7 +28,7 @@ def response(settings: str | list[str], g: str) -> np.ndarray:
     return np.asarray(getattr(plant, g)(1j * OMEGA))
 
 
-def test_chapter_2_is_a_scenario_of_transfer_functions() -> None:
+def test_chapter_2_is_a_scenario_of_transfer_functions():
     scenario, known = load(CH2), chapter_2()
     plant = continuous_plant(scenario.plant)
     assert (plant.g1, plant.g2) == (known.g1, known.g2)
@@ -40,7 +37,7 @@ def test_chapter_2_is_a_scenario_of_transfer_functions() -> None:
         assert (own == other).all()
 
 
-def test_both_forms_are_the_same_function() -> None:
+def test_both_forms_are_the_same_function():
     num, den = [2.0, 6.0, 10.0], [1.0, 6.0, 13.0, 0.5]
     roots = control.tf(num, den)
 
@@ -62,7 +59,7 @@ def test_both_forms_are_the_same_function() -> None:
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_the_plant_is_that_of_python_control(tmp_path: Path, name: str) -> None:
+def test_the_plant_is_that_of_python_control(tmp_path, name):
     settings = load(written(tmp_path, name)).plant
     bare = replace(settings, torque_actuator=type(settings.torque_actuator)())
     bare = replace(bare, force_difference_actuator=type(settings.force_difference_actuator)())
@@ -79,7 +76,7 @@ def test_the_plant_is_that_of_python_control(tmp_path: Path, name: str) -> None:
         np.testing.assert_allclose(own[0, channel], system(1j), rtol=1e-9)
 
 
-def test_gain_and_speed_are_k_and_v_of_k_g_s_over_v() -> None:
+def test_gain_and_speed_are_k_and_v_of_k_g_s_over_v():
     for function in (
         TransferFunction(num=(2.0, 3.0), den=(1.0, 2.0, 5.0)),
         TransferFunction(zeros=(-1.5,), poles=([-1.0, 2.0],), gain=2.0),
@@ -91,7 +88,7 @@ def test_gain_and_speed_are_k_and_v_of_k_g_s_over_v() -> None:
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_the_box_varies_gains_and_speed(tmp_path: Path, name: str) -> None:
+def test_the_box_varies_gains_and_speed(tmp_path, name):
     settings = load(written(tmp_path, name)).plant
     own = continuous_plant(settings)
     for key in uncertain(settings):
@@ -104,7 +101,7 @@ def test_the_box_varies_gains_and_speed(tmp_path: Path, name: str) -> None:
             assert (theirs(10j) != pytest.approx(ours(10j), rel=1e-6)) == touched
 
 
-def test_the_model_follows_key_by_key() -> None:
+def test_the_model_follows_key_by_key():
     changed = load(CH2, ["plant.g1.gain=2", "model.g2.gain=3"])
     assert (changed.plant.g1.gain, changed.model.g1.gain) == (2, 2)
     assert (changed.plant.g2.gain, changed.model.g2.gain) == (1, 3)
@@ -117,7 +114,7 @@ def test_the_model_follows_key_by_key() -> None:
     assert continuous_plant(other_kind.model).g2 == ZeroPoleGain((), (-1,), 2.0)
 
 
-def test_a_class_may_be_modelled_by_numbers() -> None:
+def test_a_class_may_be_modelled_by_numbers():
     mixed = load(CH2, [
         "plant={kind='tests.rig.plant.linear:LinearPlant', output={name='rate', unit='rad/s'}}",
         "model={kind='state-space', a=[[-1]], b=[[1, 2]], c=[1]}",
@@ -127,14 +124,14 @@ def test_a_class_may_be_modelled_by_numbers() -> None:
     assert network_of(mixed).feedback.signal_name == "DStar"
 
 
-def test_a_run_folder_has_it_all(tmp_path: Path) -> None:
+def test_a_run_folder_has_it_all(tmp_path):
     for name in PLANTS:
         scenario = load(written(tmp_path, name), ["model.output={}"])
         again = load_run(json.loads(json.dumps(scenario.as_dict())))
         assert again == scenario
 
 
-def test_names_are_those_of_the_scenario(tmp_path: Path) -> None:
+def test_names_are_those_of_the_scenario(tmp_path):
     names = names_of(load(written(tmp_path, "aircraft")).plant)
     assert [signal.name for signal in names] == ["pitch rate", "elevator", "canard"]
     assert [signal.unit for signal in names] == ["rad/s", "rad", "rad"]
@@ -152,14 +149,14 @@ BUILT = {
 
 
 @pytest.mark.parametrize(("setting", "line"), BUILT.items(), ids=BUILT)
-def test_a_plant_that_no_design_exists_for_is_one_line(setting: str, line: str) -> None:
+def test_a_plant_that_no_design_exists_for_is_one_line(setting, line):
     with pytest.raises(ScenarioError) as caught:
         continuous_design(load(CH2, [setting]))
     assert line in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_a_zero_of_g1_in_the_right_half_plane_stays_in_the_closed_loop() -> None:
+def test_a_zero_of_g1_in_the_right_half_plane_stays_in_the_closed_loop():
     right = ["plant.g1.zeros=[2]", "design.feedback=true"]
     tracking = continuous_design(load(CH2, right)).tracking
     assert tracking is not None and tracking.complementary.zeros == (2.0,)

@@ -1,7 +1,5 @@
 """A campaign of short runs, computed here or by workers, and its table."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path

@@ -1,13 +1,10 @@
 """``can-rig campaign``: a table, a report that a person can open, and one line for bad input."""
 
-from __future__ import annotations
-
 import base64
 import html
 import json
 import re
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
 
@@ -50,9 +47,7 @@ class Page(HTMLParser):
 
 
 @pytest.mark.parametrize(("bound", "status"), [(1e3, 0), (-1.0, 1)])
-def test_a_campaign_leaves_table_report_and_summary(
-    bound: float, status: int, tmp_path: Path
-) -> None:
+def test_a_campaign_leaves_table_report_and_summary(bound, status, tmp_path):
     (tmp_path / "own.toml").write_text(OWN.format(bound=bound))
     out = tmp_path / "out"
     done = asked("campaign", tmp_path / "own.toml", "--out", out, "--workers", 1)
@@ -77,7 +72,7 @@ def test_a_campaign_leaves_table_report_and_summary(
     assert json.loads(again.stdout)["rates"] == summary["rates"]
 
 
-def test_a_shipped_campaign_by_name(tmp_path: Path) -> None:
+def test_a_shipped_campaign_by_name(tmp_path):
     done = asked("campaign", "losses", "--runs", 2, *FEW, "--set", "reference.kind=step",
                  "--seed", 4, "--scenario", "ideal", "--out", tmp_path / "out")  # fmt: skip
     assert done.returncode in {0, 1}, done.stderr
@@ -97,9 +92,7 @@ def test_a_shipped_campaign_by_name(tmp_path: Path) -> None:
         (["cars", "--out", ".."], "there already"),
     ],
 )
-def test_bad_input_is_one_line(
-    arguments: list[str], line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bad_input_is_one_line(arguments, line, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = asked("campaign", *arguments)
     assert done.returncode == 2
@@ -108,7 +101,7 @@ def test_bad_input_is_one_line(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_that_fails_makes_the_status_1(tmp_path: Path) -> None:
+def test_a_run_that_fails_makes_the_status_1(tmp_path):
     (tmp_path / "own.toml").write_text(
         OWN.format(bound=1e3) + '\n[axes."tick_s"]\nvalues = [1e-9]\n'
     )
@@ -117,6 +110,6 @@ def test_a_run_that_fails_makes_the_status_1(tmp_path: Path) -> None:
     assert "tick_s = 1e-09: must be" in done.stdout + done.stderr
 
 
-def test_the_help_names_every_shipped_campaign() -> None:
+def test_the_help_names_every_shipped_campaign():
     said = asked("campaign", "--help").stdout
     assert f"a shipped one: {', '.join(sorted(shipped()))}." in " ".join(said.split())

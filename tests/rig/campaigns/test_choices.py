@@ -1,12 +1,9 @@
 """Choices, several scenarios, values that depend on others, and the tables of the report."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections import Counter
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -30,7 +27,7 @@ def planned(**values: Any) -> Plan:
     return plan(campaign_of("some", {"runs": 600, "choices": CHOICES, **values}))
 
 
-def test_each_scenario_and_alternative_has_its_share_whatever_the_others_are() -> None:
+def test_each_scenario_and_alternative_has_its_share_whatever_the_others_are():
     made = planned(scenario=NAMES)
     values = [made.values_of(run) for run in range(600)]
     pairs = Counter((each["scenario"], each["fault.0"]) for each in values)
@@ -41,7 +38,7 @@ def test_each_scenario_and_alternative_has_its_share_whatever_the_others_are() -
     assert 0.35 < sum(offset < 0.0 for offset in offsets) / len(offsets) < 0.65
 
 
-def test_a_time_is_as_many_ticks_as_the_scenario_has_of_it() -> None:
+def test_a_time_is_as_many_ticks_as_the_scenario_has_of_it():
     made = planned(scenario=NAMES)
     for run in range(60):
         values = made.values_of(run)
@@ -53,7 +50,7 @@ def test_a_time_is_as_many_ticks_as_the_scenario_has_of_it() -> None:
 
 
 @pytest.mark.parametrize("name", ["default", "chassis-can"])
-def test_the_command_of_a_run_is_its_scenario(name: str) -> None:
+def test_the_command_of_a_run_is_its_scenario(name):
     made = plan(read_campaign("double-faults", scenario=[name]))
     for run in range(25):
         values = made.values_of(run)
@@ -62,7 +59,7 @@ def test_the_command_of_a_run_is_its_scenario(name: str) -> None:
         assert made.scenario_of(run) == again
 
 
-def test_a_table_over_scenarios_serves_one_scenario_too() -> None:
+def test_a_table_over_scenarios_serves_one_scenario_too():
     made = plan(read_campaign("faults", scenario=["no-compensation"], runs=1))
     assert made.settings.tables["scenarios"].rows == "scenario"
     require_tables(made)
@@ -72,13 +69,13 @@ def test_a_table_over_scenarios_serves_one_scenario_too() -> None:
 
 
 @pytest.mark.parametrize("name", ["faults", "double-faults", "restarts", "weather"])
-def test_every_alternative_of_the_shipped_campaigns_is_in_its_bounds(name: str) -> None:
+def test_every_alternative_of_the_shipped_campaigns_is_in_its_bounds(name):
     made = plan(read_campaign(name))  # checks each once
     kinds = {fault.kind for run in range(300) for fault in made.scenario_of(run).fault}
     assert len(kinds) > (15 if "faults" in name else 0)
 
 
-def test_a_second_fault_comes_after_the_first_and_a_loss_meanwhile_in_the_outage() -> None:
+def test_a_second_fault_comes_after_the_first_and_a_loss_meanwhile_in_the_outage():
     made = plan(read_campaign("double-faults"))
     for run in range(100):
         one, other = made.scenario_of(run).fault
@@ -97,7 +94,7 @@ def test_a_second_fault_comes_after_the_first_and_a_loss_meanwhile_in_the_outage
     assert meanwhile > 10
 
 
-def test_a_grid_has_each_scenario_with_each_alternative_at_each_point() -> None:
+def test_a_grid_has_each_scenario_with_each_alternative_at_each_point():
     choices = {"fault.0": {"nothing": {"kind": "none"}, "dead": {"kind": "actuator-dead"}}}
     made = plan(campaign_of("some", {
         "sampling": "grid", "scenario": NAMES, "choices": choices,
@@ -151,13 +148,13 @@ def test_a_grid_has_each_scenario_with_each_alternative_at_each_point() -> None:
          "tables.t.metrics: 'verdict': must be a metric that is a number"),
     ],
 )  # fmt: skip
-def test_what_makes_no_campaign_is_named_in_a_line(values: dict[str, Any], line: str) -> None:
+def test_what_makes_no_campaign_is_named_in_a_line(values, line):
     with pytest.raises(ScenarioError, match=re.escape(line)) as error:
         require_tables(planned(**values))
     assert "\n" not in str(error.value)
 
 
-def test_a_campaign_begins_from_a_shipped_one(tmp_path: Path) -> None:
+def test_a_campaign_begins_from_a_shipped_one(tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text('extends = "restarts"\nruns = 7\n[settings]\nplant.speed_mps = 12.0\n')
     mine, base = read_campaign(str(file)), read_campaign("restarts")
@@ -173,7 +170,7 @@ def test_a_campaign_begins_from_a_shipped_one(tmp_path: Path) -> None:
     assert "double-faults" in shipped()
 
 
-def test_no_requirement_is_about_words() -> None:
+def test_no_requirement_is_about_words():
     with pytest.raises(ScenarioError, match="verdict: no such metric"):
         from can_rig.campaigns.rows import requirements_of
 
@@ -189,7 +186,7 @@ COLUMNS: dict[str, list[Any]] = {
 }  # fmt: skip
 
 
-def test_a_table_counts_each_run_once() -> None:
+def test_a_table_counts_each_run_once():
     near = Requirement("near", "astray_m <= 0.3", ["astray_m"])
     tables = {"t": {"rows": "fault.0", "columns": "verdict", "metrics": ["astray_m"]}}
     found = cross("t", planned(tables=tables).settings, [near], COLUMNS)
@@ -207,7 +204,7 @@ def test_a_table_counts_each_run_once() -> None:
     assert found.rows[1].worst == {} and found.rows[1].spreads == []
 
 
-def test_many_numbers_are_eight_rows_and_few_are_their_own() -> None:
+def test_many_numbers_are_eight_rows_and_few_are_their_own():
     names = parts_by_name([float(value) for value in range(80)])
     assert Counter(Counter(names).values()) == {10: 8}
     assert names[0] == "0 to 9" and names[79] == "70 to 79"
@@ -215,7 +212,7 @@ def test_many_numbers_are_eight_rows_and_few_are_their_own() -> None:
     assert parts_by_name([True, False]) == ["True", "False"]
 
 
-def test_faults_of_further_sensors_are_drawn_where_the_scenario_has_the_sensor() -> None:
+def test_faults_of_further_sensors_are_drawn_where_the_scenario_has_the_sensor():
     made = plan(read_campaign("faults", scenario=["default", "cluster"]))
     places: dict[str, set[str | None]] = {"default": set(), "cluster": set()}
     for run in range(400):

@@ -1,12 +1,9 @@
 """Runs share computations, and every run equals the same run computed alone."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import random
 import shlex
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,7 +36,7 @@ MIXED: dict[str, Any] = {
 }
 
 
-def test_a_run_is_the_same_after_whatever_others() -> None:
+def test_a_run_is_the_same_after_whatever_others():
     made = plan(campaign_of("mixed", MIXED))
     together = run_rows(made, Task(0, made.runs))
     order = random.Random(1).sample(range(made.runs), made.runs)
@@ -47,7 +44,7 @@ def test_a_run_is_the_same_after_whatever_others() -> None:
     assert [one_by_one[run] for run in range(made.runs)] == together
 
 
-def test_the_loop_of_a_run_is_the_one_that_is_made_for_it_alone() -> None:
+def test_the_loop_of_a_run_is_the_one_that_is_made_for_it_alone():
     made = plan(campaign_of("mixed", MIXED))
     for run in range(made.runs):
         scenario = made.scenario_of(run)
@@ -56,7 +53,7 @@ def test_the_loop_of_a_run_is_the_one_that_is_made_for_it_alone() -> None:
         np.testing.assert_array_equal(found.reference_mps2, alone.reference)
 
 
-def test_a_file_that_has_changed_is_read_again(tmp_path: Path) -> None:
+def test_a_file_that_has_changed_is_read_again(tmp_path):
     file, other = tmp_path / "r.csv", tmp_path / "other.csv"
     settings = [
         "duration_s=0.2",
@@ -104,9 +101,7 @@ AXES: list[tuple[str, list[str], dict[str, list[Any]], bool]] = [
 
 
 @pytest.mark.parametrize(("name", "settings", "axes", "redesign"), AXES)
-def test_the_command_of_a_run_has_the_scenario_of_the_run(
-    name: str, settings: list[str], axes: dict[str, list[Any]], redesign: bool, tmp_path: Path
-) -> None:
+def test_the_command_of_a_run_has_the_scenario_of_the_run(name, settings, axes, redesign, tmp_path):
     """Settings objects with an axis's value are those that ``--set`` makes of the file."""
     campaign = {
         "scenario": name, "sampling": "grid", "redesign": redesign,
@@ -121,7 +116,7 @@ def test_the_command_of_a_run_has_the_scenario_of_the_run(
         assert repr(made.scenario_of(run)) == repr(again)  # 1 and 1.0 are equal
 
 
-def test_settings_are_hashable_and_every_digit_counts() -> None:
+def test_settings_are_hashable_and_every_digit_counts():
     scenario, again = load("default"), load("default")
     assert (scenario, hash(scenario)) == (again, hash(again))
     plant = dataclasses.replace(
@@ -140,7 +135,7 @@ def test_settings_are_hashable_and_every_digit_counts() -> None:
      ("latency_ticks=2", False), ("seed=3", True), ("fault={kind='none', at_s=2}", True),
      ("reference.amplitude_mps2=2", True)],
 )  # fmt: skip
-def test_a_table_follows_from_every_setting_of_the_controller(setting: str, same: bool) -> None:
+def test_a_table_follows_from_every_setting_of_the_controller(setting, same):
     usual, other = (load("default", settings) for settings in ((), (setting,)))
     tables = [
         structured_to_unstructured(controller_table(each, network_of(each)))

@@ -1,7 +1,5 @@
 """What the panels of a campaign's picture are called: by the plant's own signals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -33,12 +31,12 @@ COLUMN = [
 
 
 @pytest.mark.parametrize(("metric", "said"), OF_CAR.items())
-def test_a_metric_of_the_car(metric: str, said: str) -> None:
+def test_a_metric_of_the_car(metric, said):
     assert label_of(metric, names_of(load("default").plant)).replace("\n", " ") == said
 
 
 @pytest.mark.parametrize(("metric", "said"), OF_COLUMN.items())
-def test_a_metric_of_a_plant_by_numbers(metric: str, said: str) -> None:
+def test_a_metric_of_a_plant_by_numbers(metric, said):
     names = names_of(load("chapter-2", COLUMN).plant)
     assert label_of(metric, names).replace("\n", " ") == said
 
@@ -52,11 +50,11 @@ def test_a_metric_of_a_plant_by_numbers(metric: str, said: str) -> None:
         ("latency_ticks", "latency ticks"),
     ],
 )
-def test_an_axis_is_named_in_words_with_its_unit(key: str, said: str) -> None:
+def test_an_axis_is_named_in_words_with_its_unit(key, said):
     assert label_of_key(key).replace("\n", " ") == said
 
 
-def test_a_tail_makes_an_axis_logarithmic_and_zero_keeps_the_axis_linear() -> None:
+def test_a_tail_makes_an_axis_logarithmic_and_zero_keeps_the_axis_linear():
     tail = np.array([1.0] * 99 + [11.0])
     assert is_far_reaching(np.append(tail, np.nan))
     assert not is_far_reaching(np.append(tail, 0.0))

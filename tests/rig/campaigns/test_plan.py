@@ -1,10 +1,7 @@
 """What the runs of a campaign are: by their number and the campaign's seed, and nothing else."""
 
-from __future__ import annotations
-
 import pickle
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,14 +25,14 @@ def grid(**axes: Any) -> Any:
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_every_shipped_campaign_can_run(name: str) -> None:
+def test_every_shipped_campaign_can_run(name):
     made = plan(read_campaign(name))
     requirements_of(made)
     made.scenario_of(made.runs - 1)
     assert made.settings.description
 
 
-def test_cars_are_the_81_corners_middles_and_the_model() -> None:
+def test_cars_are_the_81_corners_middles_and_the_model():
     made = plan(read_campaign("cars"))
     nominal = load("default")
     assert made.runs == 81
@@ -51,7 +48,7 @@ def test_cars_are_the_81_corners_middles_and_the_model() -> None:
         assert made.scenario_of(run).model == nominal.model  # the design has not seen them
 
 
-def test_a_redesign_believes_in_each_car() -> None:
+def test_a_redesign_believes_in_each_car():
     made = planned(runs=3, axes=MASS, redesign=True)
     scenario = made.scenario_of(1)
     assert scenario.model.mass_kg == scenario.plant.mass_kg == made.values_of(1)["plant.mass_kg"]
@@ -69,9 +66,7 @@ NO_LAG = {"plant.torque_actuator.lag_s": 0.0}
 @pytest.mark.parametrize(
     ("key", "value", "other"), [("lag_s", 0.02, {}), ("natural_frequency_rad_per_s", 300.0, NO_LAG)]
 )
-def test_an_axis_over_a_lag_keeps_what_is_believed_of_it(
-    scenario: str, settings: dict[str, float], key: str, value: float, other: dict[str, float]
-) -> None:
+def test_an_axis_over_a_lag_keeps_what_is_believed_of_it(scenario, settings, key, value, other):
     axes = {f"plant.torque_actuator.{key}": {"values": [value]}}
     if key == "lag_s" and settings:
         return  # one actuator has one lag
@@ -81,14 +76,14 @@ def test_an_axis_over_a_lag_keeps_what_is_believed_of_it(
     assert getattr(changed.plant.torque_actuator, key) == value
 
 
-def test_repeats_of_a_grid_differ_in_their_seed_alone() -> None:
+def test_repeats_of_a_grid_differ_in_their_seed_alone():
     made = planned(sampling="grid", repeats=3, axes={"latency_ticks": {"values": [1, 2]}})
     assert made.runs == 6
     assert [made.values_of(run)["latency_ticks"] for run in range(6)] == [1, 1, 1, 2, 2, 2]
     assert len({made.seed_of(run) for run in range(6)}) == 6
 
 
-def test_points_of_a_whole_number_are_whole_and_each_there() -> None:
+def test_points_of_a_whole_number_are_whole_and_each_there():
     made = grid(latency_ticks={"range": [0.0, 8.0], "points": 9})
     assert [made.values_of(run)["latency_ticks"] for run in range(9)] == list(range(9))
     drawn = planned(runs=4000, axes={"latency_ticks": {"range": [0.0, 3.0]}})
@@ -98,7 +93,7 @@ def test_points_of_a_whole_number_are_whole_and_each_there() -> None:
 
 
 @pytest.mark.parametrize("sampling", ["latin-hypercube", "sobol"])
-def test_even_samplings_are_even(sampling: str) -> None:
+def test_even_samplings_are_even(sampling):
     axes = {"fault.at_s": {"range": [2.0, 6.0]}, "fault.left": {"range": [0.0, 0.5]}}
     made = planned(runs=256, sampling=sampling, axes=axes)
     for key, (low, high) in {"fault.at_s": (2.0, 6.0), "fault.left": (0.0, 0.5)}.items():
@@ -107,14 +102,14 @@ def test_even_samplings_are_even(sampling: str) -> None:
         assert len(set(cells)) >= 250  # rounding moves some
 
 
-def test_a_log_scale_has_as_much_in_each_decade() -> None:
+def test_a_log_scale_has_as_much_in_each_decade():
     axes = {"plant.sensor.noise_mps2": {"range": [1e-4, 1e-1], "scale": "log"}}
     made = planned(runs=300, sampling="latin-hypercube", axes=axes)
     values = [made.values_of(run)["plant.sensor.noise_mps2"] for run in range(300)]
     assert np.histogram(np.log10(values), [-4, -3, -2, -1])[0].tolist() == [100, 100, 100]
 
 
-def test_the_number_and_the_seed_decide_and_nothing_else() -> None:
+def test_the_number_and_the_seed_decide_and_nothing_else():
     made, again = (planned(runs=50, seed=3, axes=MASS) for _ in range(2))
     backwards = [again.changes_of(run) for run in reversed(range(50))][::-1]
     assert [made.changes_of(run) for run in range(50)] == backwards
@@ -126,7 +121,7 @@ def test_the_number_and_the_seed_decide_and_nothing_else() -> None:
     assert longer.seed_of(49) == made.seed_of(49)
 
 
-def test_a_seed_of_one_s_own_stays() -> None:
+def test_a_seed_of_one_s_own_stays():
     assert planned(runs=2, settings={"seed": 5}).scenario_of(1).seed == 5
     assert grid(seed={"values": [7, 8]}).scenario_of(1).seed == 8
 
@@ -159,13 +154,13 @@ def test_a_seed_of_one_s_own_stays() -> None:
          "model.sensor.corner_hz must be set"),
     ],
 )  # fmt: skip
-def test_what_makes_no_campaign_is_named_in_a_line(values: dict[str, Any], line: str) -> None:
+def test_what_makes_no_campaign_is_named_in_a_line(values, line):
     with pytest.raises(ScenarioError, match=re.escape(line)) as error:
         planned(**values)
     assert "\n" not in str(error.value)
 
 
-def test_a_file_names_its_scenario_from_where_it_lies(tmp_path: Path) -> None:
+def test_a_file_names_its_scenario_from_where_it_lies(tmp_path):
     (tmp_path / "mine.toml").write_text("duration_s = 0.3\n")
     (tmp_path / "many.toml").write_text('scenario = "mine.toml"\nruns = 2\n')
     made = plan(read_campaign(str(tmp_path / "many.toml"), ["fault.kind=none"], runs=5))
@@ -183,7 +178,7 @@ def test_a_file_names_its_scenario_from_where_it_lies(tmp_path: Path) -> None:
         read_campaign("losse")
 
 
-def test_a_lag_is_drawn_as_none_or_as_one_that_a_scenario_may_have() -> None:
+def test_a_lag_is_drawn_as_none_or_as_one_that_a_scenario_may_have():
     """Of 0 to 2 µs: half of the range is lags that no scenario takes."""
     axes = {"plant.torque_actuator.lag_s": {"range": [0.0, 2e-6]}}
     values = {"scenario": "thesis-step", "axes": axes, "runs": 1}
@@ -192,6 +187,6 @@ def test_a_lag_is_drawn_as_none_or_as_one_that_a_scenario_may_have() -> None:
     assert drawn == [0.0, 1e-6, 1.5e-6]
 
 
-def test_a_number_of_more_digits_than_python_reads_is_one_line() -> None:
+def test_a_number_of_more_digits_than_python_reads_is_one_line():
     with pytest.raises(ScenarioError, match="must have at most 4300 digits"):
         load("thesis-step", [f"seed={'1' * 5001}"])

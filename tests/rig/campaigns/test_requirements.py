@@ -1,7 +1,5 @@
 """Requirements: the verdict and the margin of an expression, and refused syntax."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest
@@ -20,12 +18,12 @@ REFUSED = [
 
 
 @pytest.mark.parametrize("text", REFUSED)
-def test_nothing_but_an_expression_over_metrics_is_read(text: str) -> None:
+def test_nothing_but_an_expression_over_metrics_is_read(text):
     with pytest.raises(ScenarioError, match=r"^requirements\.some = .*must|no such metric"):
         Requirement("some", text, NAMES)
 
 
-def test_an_unknown_name_and_too_long_an_expression_are_named() -> None:
+def test_an_unknown_name_and_too_long_an_expression_are_named():
     with pytest.raises(ScenarioError, match="c: no such metric; there are a, b, yes"):
         Requirement("some", "c > 1", NAMES)
     with pytest.raises(ScenarioError, match="must be at most 500 characters"):
@@ -61,7 +59,7 @@ def expressions() -> st.SearchStrategy[str]:
 
 @given(expressions(), st.floats(-9, 9), st.floats(-9, 9), st.booleans())
 @example("(a <= (2.5 / a) <= a and yes)", 2.2e-311, 0.0, False)  # 2.5 / a is more than a float has
-def test_it_says_what_python_says(text: str, a: float, b: float, yes: bool) -> None:
+def test_it_says_what_python_says(text, a, b, yes):
     values = {"a": a, "b": b, "yes": yes}
     verdict = Requirement("some", text, NAMES).of(values)
     try:
@@ -75,9 +73,7 @@ def test_it_says_what_python_says(text: str, a: float, b: float, yes: bool) -> N
 
 
 @pytest.mark.parametrize(("one", "other"), list(itertools.product([True, False, None], repeat=2)))
-def test_what_a_run_does_not_have_is_neither_true_nor_false(
-    one: bool | None, other: bool | None
-) -> None:
+def test_what_a_run_does_not_have_is_neither_true_nor_false(one, other):
     values = {"a": one, "b": other, "yes": None}
     known = [one, other]
     both = False if False in known else None if None in known else True
@@ -89,7 +85,7 @@ def test_what_a_run_does_not_have_is_neither_true_nor_false(
     assert Requirement("some", "a / 0 > 1", NAMES).of(values).passed is None
 
 
-def test_a_margin_is_in_parts_of_the_bound_and_the_least_counts() -> None:
+def test_a_margin_is_in_parts_of_the_bound_and_the_least_counts():
     values = {"a": 0.04, "b": 3.0, "yes": True}
     wanted = {"a <= 0.05": 0.2, "a <= 0.02": -1.0, "b >= 2 and a <= 0.05": 0.2,
               "b >= 4 or a <= 0.05": 0.2, "not b >= 4": 0.25, "yes": 1.0, "b == 3": 1.0,
@@ -100,6 +96,6 @@ def test_a_margin_is_in_parts_of_the_bound_and_the_least_counts() -> None:
     assert margin([Verdict(None, None)]) is None
 
 
-def test_a_number_that_no_float_holds_is_refused() -> None:
+def test_a_number_that_no_float_holds_is_refused():
     with pytest.raises(ScenarioError, match="must be finite"):
         Requirement("small", f"detection_delay_s <= 1{'0' * 320}", {"detection_delay_s"})

@@ -1,17 +1,14 @@
 """The search for the worst run: repeatable, gone on with, and better than chance."""
 
-from __future__ import annotations
-
 import json
 import re
-from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 import pytest
 
-from can_rig.campaigns.execution import GENERATION, CampaignFolder, Search
+from can_rig.campaigns.execution import GENERATION, Search
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.report import write_report
 from can_rig.campaigns.rows import read_columns, requirements_of
@@ -38,11 +35,11 @@ def planned(**values: Any) -> Plan:
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> CampaignFolder:
+def done(tmp_path_factory):
     return ran(tmp_path_factory.mktemp("search") / "one", planned())
 
 
-def test_the_search_and_as_many_random_runs_share_a_table(done: CampaignFolder) -> None:
+def test_the_search_and_as_many_random_runs_share_a_table(done):
     table = rows(done)
     assert [row["run"] for row in table] == list(range(2 * BUDGET))
     assert [row["method"] for row in table] == ["search"] * BUDGET + ["random"] * BUDGET
@@ -55,13 +52,13 @@ def test_the_search_and_as_many_random_runs_share_a_table(done: CampaignFolder) 
     assert all(0.0 <= row["fault.left"] <= 0.9 for row in table)
 
 
-def test_an_interruption_changes_nothing(done: CampaignFolder, tmp_path: Path) -> None:
+def test_an_interruption_changes_nothing(done, tmp_path):
     assert (
         ran(tmp_path / "stopped", planned(), stops=2).table.read_bytes() == done.table.read_bytes()
     )
 
 
-def test_the_report_is_of_the_random_runs_and_says_what_was_found(done: CampaignFolder) -> None:
+def test_the_report_is_of_the_random_runs_and_says_what_was_found(done):
     summary = write_report(done)
     assert summary.runs == BUDGET
     columns = read_columns(done.table)
@@ -75,7 +72,7 @@ def test_the_report_is_of_the_random_runs_and_says_what_was_found(done: Campaign
 
 
 @pytest.mark.parametrize("axes", [1, 2, 5])
-def test_a_valley_is_found_by_the_margins_alone(axes: int) -> None:
+def test_a_valley_is_found_by_the_margins_alone(axes):
     def margin(point: tuple[float, ...]) -> float:
         return sum((u - 0.83) ** 2 for u in point)
 
@@ -96,14 +93,14 @@ def test_a_valley_is_found_by_the_margins_alone(axes: int) -> None:
     assert Search(axes, seed=4).ask() != Search(axes, seed=3).ask()
 
 
-def test_runs_without_a_margin_and_flat_ground_do_not_end_it() -> None:
+def test_runs_without_a_margin_and_flat_ground_do_not_end_it():
     search = Search(2, seed=0)
     for _ in range(40):
         assert len(search.ask()) == GENERATION
         search.tell([None, *[1.0] * (GENERATION - 1)])
 
 
-def test_what_was_found_is_counted() -> None:
+def test_what_was_found_is_counted():
     one = found("search", [None, 0.5, -0.1, 0.2, -0.3])
     assert (one.runs, one.least, one.failed, one.first_failed) == (5, -0.3, 2, 3)
     assert found("random", [None, None]).least is None
@@ -118,12 +115,12 @@ def test_what_was_found_is_counted() -> None:
         ({"sampling": "sobol"}, 'must come with sampling = "random"'),
     ],
 )
-def test_what_cannot_be_searched_is_one_line(values: dict[str, Any], line: str) -> None:
+def test_what_cannot_be_searched_is_one_line(values, line):
     with pytest.raises(ScenarioError, match=re.escape(line)):
         planned(**values)
 
 
-def test_a_grid_is_searched_between_its_ends() -> None:
+def test_a_grid_is_searched_between_its_ends():
     settings = read_campaign("cars", search="deviation", runs=10)
     assert (settings.sampling, plan(settings).runs) == ("random", 20)
     assert all(axis.points is None for axis in settings.axes.values())

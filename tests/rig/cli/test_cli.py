@@ -84,14 +84,14 @@ def test_a_node_refuses_as_clearly(node, arguments, reason):
 
 
 def test_a_log_that_cannot_be_written_is_one_line(tmp_path):
-    done = rig("plant", "--log", tmp_path / "no" / "bus.log", "--bus", f"local:{tmp_path / 'b'}")
+    done = asked("plant", "--log", tmp_path / "no" / "bus.log", "--bus", f"local:{tmp_path / 'b'}")
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert "bus.log" in done.stderr
 
 
 def test_a_mistake_in_two_processes_is_one_line_and_leaves_no_folder(tmp_path):
-    done = rig("run", "thesis-step", "--bus", "local:/no/such/folder", "--out", tmp_path / "run")
+    done = asked("run", "thesis-step", "--bus", "local:/no/such/folder", "--out", tmp_path / "run")
     assert done.returncode == 2
     (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
     assert line.startswith("error: cannot open bus 'local:/no/such/folder'")
@@ -114,7 +114,6 @@ def test_it_runs_in_odd_surroundings(change, tmp_path):
     done = rig(*RUN, "--allow-unstable", "--out", tmp_path / "run", env=environment)
     assert done.returncode == 0, done.stderr
     assert f"run folder  {tmp_path / 'run'}" in done.stdout  # never cut short
-    assert rig("scenarios", env=environment).returncode == 0
 
 
 def test_a_reader_that_goes_away_costs_nothing_but_the_table(tmp_path):
@@ -176,11 +175,11 @@ MODULES = ["click", "numpy", "can_rig.assessment.stability"]
 
 
 @pytest.mark.parametrize("module", MODULES)
-def test_while_it_imports(module: str, tmp_path: Path) -> None:
+def test_while_it_imports(module, tmp_path):
     assert pressed_at(module, tmp_path, "-m", "can_rig", "check") == (130, "")
 
 
-def test_where_it_is_ignored_it_stays_ignored(tmp_path: Path) -> None:
+def test_where_it_is_ignored_it_stays_ignored(tmp_path):
     def ignore() -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -188,7 +187,7 @@ def test_where_it_is_ignored_it_stays_ignored(tmp_path: Path) -> None:
     assert pressed_at("click", tmp_path, *words, preexec_fn=ignore) == (0, "")
 
 
-def test_a_command_that_has_started_tidies_up(tmp_path: Path) -> None:
+def test_a_command_that_has_started_tidies_up(tmp_path):
     """Once the command is there, Ctrl-C is an exception: what was half written goes away."""
     log, out = tmp_path / "a.log", tmp_path / "a.csv"
     log.write_text("(0.000000) can0 101#00\n")

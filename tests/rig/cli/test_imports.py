@@ -45,7 +45,7 @@ def imported_by(*arguments: str) -> set[str]:
         (["plant", "--help"], TABLES | PICTURES | SOLVERS | LAW),
     ],
 )
-def test_a_light_command_imports_nothing_heavy(arguments: list[str], without: set[str]) -> None:
+def test_a_light_command_imports_nothing_heavy(arguments, without):
     imported = imported_by(*arguments)
     assert "can_rig.cli.main" in imported
     assert not without & imported
@@ -68,17 +68,17 @@ assert numpy.f2py.get_include()
 """
 
 
-def test_the_command_line_imports_libraries_without_others_which_are_there_all_the_same() -> None:
+def test_the_command_line_imports_libraries_without_others_which_are_there_all_the_same():
     subprocess.run([sys.executable, "-c", HIDDEN], check=True, timeout=300)
 
 
-def test_a_program_that_imports_can_rig_keeps_python_can_as_it_is() -> None:
+def test_a_program_that_imports_can_rig_keeps_python_can_as_it_is():
     code = "import can_rig, can; assert can.io.mf4.asammdf is not None"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_the_line_in_the_list_begins_like_the_command_s_own_help(name: str) -> None:
+def test_the_line_in_the_list_begins_like_the_command_s_own_help(name):
     command = main.get_command(click.Context(main), name)
     assert command is not None
     assert command.name == name
@@ -89,7 +89,7 @@ def test_the_line_in_the_list_begins_like_the_command_s_own_help(name: str) -> N
     assert line in asked("--help").stdout
 
 
-def test_an_unknown_command_gets_a_suggestion_or_none_but_no_traceback() -> None:
+def test_an_unknown_command_gets_a_suggestion_or_none_but_no_traceback():
     done = asked("chekc")
     assert done.returncode == 2
     assert "No such command 'chekc'" in done.stderr
@@ -113,7 +113,7 @@ main()
 """
 
 
-def test_garbage_is_looked_for_while_a_command_runs_but_not_in_what_it_imported() -> None:
+def test_garbage_is_looked_for_while_a_command_runs_but_not_in_what_it_imported():
     """Nor when it has ended: the first of the functions that run at the end is the last but one."""
     command = [sys.executable, "-c", COLLECTED]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)

@@ -1,16 +1,12 @@
 """Tables and pairs in terminals of any width: no cell is cut, no row goes on below another."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.helpers import asked
 
 
 @pytest.mark.parametrize("width", [30, 60, 80, 200])
-def test_check_keeps_headings_and_figures_in_any_width(
-    width: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_check_keeps_headings_and_figures_in_any_width(width, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(width))
     lines = asked("check", "thesis-step").stdout.splitlines()
     for heading in ("healthy", "torque dead", "torque 75%", "torque 50%", "torque 25%"):
@@ -30,9 +26,7 @@ def last(lines: list[str]) -> str:
 
 
 @pytest.mark.parametrize("width", [60, 80, 200])
-def test_the_closing_table_keeps_each_metric_on_its_line(
-    width: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_closing_table_keeps_each_metric_on_its_line(width, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(width))
     words = ("--set", "duration_s=0.1", "--set", "fault.at_s=0.05", "--allow-unstable")
     lines = asked("run", "default", "--in-process", *words).stdout.splitlines()
@@ -42,7 +36,7 @@ def test_the_closing_table_keeps_each_metric_on_its_line(
     assert not [line for line in lines if line.strip() == "alone"]
 
 
-def test_what_isolates_whose_fault_it_is_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_isolates_whose_fault_it_is_is_said(monkeypatch):
     monkeypatch.setenv("COLUMNS", "1000")
     lines = asked("check", "default").stdout.splitlines()
     (said,) = [line for line in lines if "isolation:" in line]
@@ -52,9 +46,7 @@ def test_what_isolates_whose_fault_it_is_is_said(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize(
     ("text", "number"), [(".0015", "0.0015"), ("1.", "1"), ("+.5e-3", "0.0005"), ("abc", None)]
 )
-def test_a_number_that_toml_does_not_know_is_refused_with_one_that_it_knows(
-    text: str, number: str | None
-) -> None:
+def test_a_number_that_toml_does_not_know_is_refused_with_one_that_it_knows(text, number):
     done = asked("check", "default", "--set", f"design.tau_s={text}")
     line = f"error: scenario default: design.tau_s = {text!r}: must be a valid number"
     assert done.stderr == line + (f", as {number}\n" if number else "\n")

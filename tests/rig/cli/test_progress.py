@@ -5,7 +5,6 @@ import re
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 from rich.progress import Progress
@@ -23,7 +22,7 @@ def last_count(text: str) -> str:
     return re.findall(r"[\d,/]+ (?:ticks|frames|cars)", text)[-1]
 
 
-def test_the_bar_of_a_complete_run_ends_at_its_last_tick(tmp_path: Path) -> None:
+def test_the_bar_of_a_complete_run_ends_at_its_last_tick(tmp_path):
     words = ["run", "thesis-step", "--set", "duration_s=1", "--out", str(tmp_path / "r")]
     done = subprocess.run(
         [sys.executable, "-m", "can_rig", *words],
@@ -33,17 +32,13 @@ def test_the_bar_of_a_complete_run_ends_at_its_last_tick(tmp_path: Path) -> None
     assert last_count(done.stderr) == "1,000/1,000 ticks"
 
 
-def test_where_standard_error_is_no_terminal_there_is_no_bar(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_where_standard_error_is_no_terminal_there_is_no_bar(capsys):
     with counting("x", "ticks", 10) as on_tick:
         on_tick(10)
     assert capsys.readouterr().err == ""
 
 
-def test_the_bar_of_a_log_ends_at_its_last_frame(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_bar_of_a_log_ends_at_its_last_frame(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
     monkeypatch.setenv("COLUMNS", "120")
     log = tmp_path / "a.log"
@@ -53,7 +48,7 @@ def test_the_bar_of_a_log_ends_at_its_last_frame(
     assert last_count(capsys.readouterr().err) == "2,500 frames"
 
 
-def test_it_is_drawn_by_no_thread_and_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_drawn_by_no_thread_and_seldom(monkeypatch):
     """A process with a bar forks its nodes, and a node reports every tick."""
     import threading
 
@@ -77,9 +72,7 @@ def test_it_is_drawn_by_no_thread_and_seldom(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize(("car_s", "drawn"), [(0.05, False), (0.5, True)])
-def test_drives_of_many_cars_have_a_bar_where_they_take_long(
-    car_s: float, drawn: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_drives_of_many_cars_have_a_bar_where_they_take_long(car_s, drawn, monkeypatch, capsys):
     """Most take a moment: a bar would only flash."""
     now_s = 0.0
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
@@ -95,9 +88,7 @@ def test_drives_of_many_cars_have_a_bar_where_they_take_long(
     assert (last_count(shown) == "17/17 cars") if drawn else (shown == "")
 
 
-def test_check_shows_the_bar_over_the_cars_that_it_drives(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_shows_the_bar_over_the_cars_that_it_drives(monkeypatch, capsys):
     """16 vertices of the box and 8 cars from its inside."""
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
     monkeypatch.setenv("COLUMNS", "120")

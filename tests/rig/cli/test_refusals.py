@@ -1,7 +1,5 @@
 """Options that name missing things: a line, exit status 2, no output file."""
 
-from pathlib import Path
-
 import pytest
 
 from tests.helpers import asked
@@ -10,7 +8,7 @@ FRAMES = "(0.000000) can0 101#0011223344556677\n(0.001000) vcan1 100#00112233445
 
 
 @pytest.fixture(autouse=True)
-def log(tmp_path: Path) -> Path:
+def log(tmp_path):
     """A log of two buses, in the working directory."""
     path = tmp_path / "a.log"
     path.write_text(FRAMES)
@@ -29,7 +27,7 @@ def log(tmp_path: Path) -> Path:
         ("figures", "--out", "no/such/x"),
     ],
 )  # fmt: skip
-def test_the_folder_of_an_output_must_exist(words: tuple[str, ...], tmp_path: Path) -> None:
+def test_the_folder_of_an_output_must_exist(words, tmp_path):
     done = asked(*words)
     assert done.returncode == 2
     assert done.stderr.startswith(f"error: {words[-1]}")
@@ -47,16 +45,14 @@ def test_the_folder_of_an_output_must_exist(words: tuple[str, ...], tmp_path: Pa
     ],
     ids=range(4),
 )
-def test_a_file_in_place_of_a_folder_is_named(
-    words: tuple[str, ...], said: str, tmp_path: Path
-) -> None:
+def test_a_file_in_place_of_a_folder_is_named(words, said, tmp_path):
     done = asked(*words)
     assert done.returncode == 2
     assert done.stderr.startswith(f"error: {said}")
     assert [path.name for path in tmp_path.iterdir()] == ["a.log"]
 
 
-def test_a_new_folder_of_decoded_messages_is_made(tmp_path: Path) -> None:
+def test_a_new_folder_of_decoded_messages_is_made(tmp_path):
     assert asked("decode", "a.log", "--out", "new").returncode == 0
     assert (tmp_path / "new").is_dir()
 
@@ -71,7 +67,7 @@ def test_a_new_folder_of_decoded_messages_is_made(tmp_path: Path) -> None:
         ("replay", "a.log", "--bus", ""),
     ],
 )
-def test_a_bus_has_a_name(words: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_bus_has_a_name(words, tmp_path):
     done = asked(*words)
     assert done.returncode == 2
     assert "must name a bus, such as local or socketcan:vcan0" in done.stderr
@@ -79,7 +75,7 @@ def test_a_bus_has_a_name(words: tuple[str, ...], tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("out", [(), ("--out", "x.csv"), ("--out", "x")])
-def test_a_bus_that_is_not_in_the_log_is_refused(out: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_bus_that_is_not_in_the_log_is_refused(out, tmp_path):
     done = asked("decode", "a.log", "--channel", "can7", *out)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "error: a.log: no frame on bus can7; the log has can0, vcan1\n"
@@ -87,7 +83,7 @@ def test_a_bus_that_is_not_in_the_log_is_refused(out: tuple[str, ...], tmp_path:
     assert asked("decode", "a.log", "--channel", "can0").returncode == 0
 
 
-def test_a_fault_after_the_end_is_mentioned_in_one_line() -> None:
+def test_a_fault_after_the_end_is_mentioned_in_one_line():
     late = ("--set", "duration_s=0.05", "--set", "fault.at_s=0.05")
     line = "note: the fault (actuator-dead at 0.05 s) never occurs: the run ends at 0.05 s"
     for words in (("run", "--in-process", "thesis-step"), ("check", "thesis-step")):
@@ -116,7 +112,7 @@ def test_a_fault_after_the_end_is_mentioned_in_one_line() -> None:
         (("inject", "reference", "-0.3", "--bus", "local:x"), "error: bus local:x: silent; no "),
     ],
 )  # fmt: skip
-def test_a_wrong_option_is_one_line(words: tuple[str, ...], line: str) -> None:
+def test_a_wrong_option_is_one_line(words, line):
     done = asked(*words)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert done.stderr.startswith(line)

@@ -1,7 +1,5 @@
 """What several commands share: JSON, silence, the log of python-can, completion, pictures."""
 
-from __future__ import annotations
-
 import json
 import logging
 import math
@@ -17,20 +15,20 @@ from can_rig.cli.main import COMMANDS, main
 from can_rig.errors import INTERRUPTED
 from can_rig.results import execution
 from can_rig.scenario import shipped
-from tests.helpers import asked, rig
+from tests.helpers import asked
 
 SCENARIO_KEYS = Path(__file__).parents[3] / "docs" / "scenario-keys.md"
 RUN = ("run", "thesis-step", "--set", "duration_s=0.05")
 
 
-def test_scenarios_as_json() -> None:
+def test_scenarios_as_json():
     described = json.loads(asked("scenarios", "--json").stdout)
     assert list(described) == list(shipped())
     assert all(described.values())
 
 
-def test_a_run_as_json_has_the_metrics_of_its_folder(tmp_path: Path) -> None:
-    done = rig(*RUN, "--json", "--silence", "7", "--out", tmp_path / "r")
+def test_a_run_as_json_has_the_metrics_of_its_folder(tmp_path):
+    done = asked(*RUN, "--json", "--silence", "7", "--out", tmp_path / "r")
     said = json.loads(done.stdout)
     summary = json.loads((tmp_path / "r" / "run.json").read_text())
     assert said["folder"] == str(tmp_path / "r")
@@ -47,22 +45,20 @@ def test_a_run_as_json_has_the_metrics_of_its_folder(tmp_path: Path) -> None:
         (("--injectable", "--silence", "7"), 7.0),
     ],
 )
-def test_a_run_that_may_be_paused_bears_every_silence_unless_told(
-    words: tuple[str, ...], silence_s: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_may_be_paused_bears_every_silence_unless_told(words, silence_s, monkeypatch):
     asked_for: list[execution.Options] = []
     monkeypatch.setattr(execution, "execute", lambda *of: asked_for.append(of[-1]))
     assert asked(*RUN, *words).returncode == INTERRUPTED
     assert [each.timeouts.silence_s for each in asked_for] == [silence_s]
 
 
-def test_a_silence_in_one_process_is_refused() -> None:
+def test_a_silence_in_one_process_is_refused():
     done = asked(*RUN, "--in-process", "--silence", "2")
     assert done.returncode == 2
     assert "in one process no node waits" in done.stderr
 
 
-def test_python_can_is_heard_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_can_is_heard_when_it_is_asked_for(monkeypatch):
     """Also while a bus is being opened, when its records go nowhere else."""
     logger = logging.getLogger("can")
     monkeypatch.setattr(logger, "level", logger.level)
@@ -78,7 +74,7 @@ def test_python_can_is_heard_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatc
     assert asked("-v", "scenarios").stderr == "can.bus: a driver's remark\n"
 
 
-def test_the_shell_completes_names() -> None:
+def test_the_shell_completes_names():
     complete = BashComplete(main, {}, "can-rig", "_CAN_RIG_COMPLETE")
     assert [item.value for item in complete.get_completions([], "re")] == ["replay"]
     helps = {item.value: item.help for item in complete.get_completions([], "")}
@@ -90,7 +86,7 @@ def test_the_shell_completes_names() -> None:
     assert "--verbose" in [item.value for item in complete.get_completions([], "--")]
 
 
-def test_the_shell_completes_every_key_that_the_list_of_keys_has() -> None:
+def test_the_shell_completes_every_key_that_the_list_of_keys_has():
     complete = BashComplete(main, {}, "can-rig", "_CAN_RIG_COMPLETE")
     offered = [item.value for item in complete.get_completions(["run", "--set"], "")]
     listed: list[str] = []
@@ -108,7 +104,7 @@ def test_the_shell_completes_every_key_that_the_list_of_keys_has() -> None:
     assert complete.get_completions(["check", "--set"], "plant.sp")[0].value == "plant.speed_mps"
 
 
-def test_a_picture_is_what_its_suffix_says(tmp_path: Path) -> None:
+def test_a_picture_is_what_its_suffix_says(tmp_path):
     run = tmp_path / "r"
     assert asked(*RUN, "--in-process", "--out", run).returncode == 0
     for suffix, begins, words in (

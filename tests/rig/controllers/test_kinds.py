@@ -1,7 +1,5 @@
 """Controllers of every kind on the same frames: classes, filters, C libraries, FMUs, shipped."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys
@@ -53,7 +51,7 @@ FILTERS = [
 
 
 @pytest.fixture
-def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def own(tmp_path, monkeypatch):
     """A folder of one's own, which imports look into; afterwards its modules are forgotten."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -75,9 +73,7 @@ def logged(scenario: Scenario, where: Path, bus: str | None = None) -> bytes:
     return (where / "bus.log").read_bytes()
 
 
-def test_the_report_of_another_controller_has_no_run_without_its_compensation(
-    tmp_path: Path,
-) -> None:
+def test_the_report_of_another_controller_has_no_run_without_its_compensation(tmp_path):
     done = execute(of(PEERS["pi"]), tmp_path / "run", StopRequest(), Options())
     assert (done.folder / "report.png").is_file()
     assert done.metrics["deviation_peak_mps2"] > 0.0
@@ -85,14 +81,14 @@ def test_the_report_of_another_controller_has_no_run_without_its_compensation(
 
 
 @pytest.mark.parametrize("kind", [*PEERS, "filters"])
-def test_with_and_without_frames_the_log_is_the_same(kind: str, tmp_path: Path) -> None:
+def test_with_and_without_frames_the_log_is_the_same(kind, tmp_path):
     scenario = of(kind) if kind != "filters" else load("default", [*FILTERS, *SHORT])
     without = logged(scenario, tmp_path / "without")
     assert logged(scenario, tmp_path / "frames", "virtual:kinds") == without
     assert without != logged(of("ours"), tmp_path / "ours")
 
 
-def test_what_a_controller_does_not_say_is_empty(tmp_path: Path) -> None:
+def test_what_a_controller_does_not_say_is_empty(tmp_path):
     for kind, says in (("pi", []), ("kalman", ["fault_estimate_mps2", "fault_state"])):
         scenario = of(kind)
         logged(scenario, tmp_path / kind)
@@ -111,7 +107,7 @@ VERDICTS = ("verdict", "right_place", "wrong_place")
 
 
 @pytest.mark.parametrize("kind", ["pi", "kalman"])
-def test_no_figure_is_made_of_what_a_controller_does_not_say(kind: str) -> None:
+def test_no_figure_is_made_of_what_a_controller_does_not_say(kind):
     for channel in ("torque", "force-difference"):
         found = metrics_of(of(kind, "fault.kind=actuator-dead", f"fault.channel={channel}"))
         says = kind == "kalman" and channel == "torque"
@@ -122,7 +118,7 @@ def test_no_figure_is_made_of_what_a_controller_does_not_say(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["pi", "kalman", "thesis"])
-def test_a_log_replays_through_the_controller_that_made_it(kind: str, tmp_path: Path) -> None:
+def test_a_log_replays_through_the_controller_that_made_it(kind, tmp_path):
     scenario = of(kind)
     logged(scenario, tmp_path / "run")
     found = []
@@ -134,7 +130,7 @@ def test_a_log_replays_through_the_controller_that_made_it(kind: str, tmp_path: 
     assert found[0].compared == scenario.ticks
 
 
-def test_a_code_says_what_is_not_said() -> None:
+def test_a_code_says_what_is_not_said():
     assert said(Answer(0.0, 0.0))[2:] == (3, 14)
     assert said(Answer(0.0, 0.0, fault_state=1))[2:] == (1, 15)
     assert said(Answer(0.0, 0.0, 1.0, 2, 2, 4)) == (1.0, 2, 2, 4)
@@ -158,7 +154,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("body", BAD)
-def test_a_bad_answer_is_one_line(body: str, own: Path) -> None:
+def test_a_bad_answer_is_one_line(body, own):
     (own / "bad.py").write_text(
         "class Bad:\n    def __init__(self, setup):\n        pass\n"
         "    def reset(self, reference):\n        pass\n"
@@ -169,7 +165,7 @@ def test_a_bad_answer_is_one_line(body: str, own: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_further_sensor_has_its_name_before_its_first_frame(own: Path, tmp_path: Path) -> None:
+def test_a_further_sensor_has_its_name_before_its_first_frame(own, tmp_path):
     """So ``check``, which has no sensors, accepts a controller that listens to a sensor."""
     (own / "listens.py").write_text(
         "def step(inputs):\n"
@@ -190,7 +186,7 @@ def test_a_further_sensor_has_its_name_before_its_first_frame(own: Path, tmp_pat
     assert 0 < heard.sum() < len(heard)
 
 
-def test_an_array_of_no_dimension_is_a_number(own: Path) -> None:
+def test_an_array_of_no_dimension_is_a_number(own):
     (own / "bad.py").write_text(
         "import numpy as np\n\ndef step(inputs):\n"
         "    return np.array(2.0) * inputs.reference, np.array(3)\n"
@@ -212,7 +208,7 @@ MODULES = {
 
 
 @pytest.mark.parametrize("text", MODULES)
-def test_a_bad_class_is_refused_before_the_run(text: str, own: Path) -> None:
+def test_a_bad_class_is_refused_before_the_run(text, own):
     (own / "bad_module.py").write_text(text + "\n")
     with pytest.raises(RigError, match=MODULES[text]) as caught:
         refuse(of("bad_module:C"))
@@ -233,7 +229,7 @@ def test_a_bad_class_is_refused_before_the_run(text: str, own: Path) -> None:
         ("sub.mine:C", r"no class or function C in .*sub/mine\.py$"),
     ],
 )
-def test_a_class_that_is_not_found_says_where_to_look(kind: str, right: str, own: Path) -> None:
+def test_a_class_that_is_not_found_says_where_to_look(kind, right, own):
     (own / "sub").mkdir()
     for name in ("mine", "math", "sub/mine", "sub/math"):
         (own / f"{name}.py").touch()
@@ -251,7 +247,7 @@ MINE = (
 @pytest.mark.parametrize(
     "kind", ["mine:Mine", "mine.py:Mine", "../a/mine:Mine", "package.mine:Mine"]
 )
-def test_a_class_beside_the_scenario_is_found_from_every_folder(kind: str, own: Path) -> None:
+def test_a_class_beside_the_scenario_is_found_from_every_folder(kind, own):
     (own / "a" / "package").mkdir(parents=True)
     (own / "mine.py").write_text(MINE.replace("20.0", "1.0"))  # not this file: of the folder itself
     for folder in ("a", "a/package"):
@@ -273,9 +269,7 @@ def test_a_class_beside_the_scenario_is_found_from_every_folder(kind: str, own: 
         ("mine:Mine", "controller.parameters.kpp: unknown; known: kp"),
     ],
 )
-def test_a_parameter_that_the_controller_never_reads_is_refused(
-    kind: str, line: str, own: Path
-) -> None:
+def test_a_parameter_that_the_controller_never_reads_is_refused(kind, line, own):
     (own / "mine.py").write_text(
         MINE + "class Reads(Mine):\n"
         "    def __init__(self, setup): self.kp = len(setup.parameters)\n"
@@ -288,14 +282,14 @@ def test_a_parameter_that_the_controller_never_reads_is_refused(
 
 
 @pytest.mark.parametrize("value", ['"3"', "true"])
-def test_a_parameter_that_is_no_number_is_named(value: str) -> None:
+def test_a_parameter_that_is_no_number_is_named(value):
     with pytest.raises(
         ScenarioError, match=r"controller\.parameters\.lag_s = .*: must be a number$"
     ):
         refuse(of("pi", f"controller.parameters.lag_s={value}"))
 
 
-def test_a_controller_that_ends_its_run_is_not_run_again(own: Path, tmp_path: Path) -> None:
+def test_a_controller_that_ends_its_run_is_not_run_again(own, tmp_path):
     """Not for the run without the fault either, which it might hang; the folder is whole."""
     (own / "ends.py").write_text(
         "class Ends:\n    steps = 0\n    def __init__(self, setup): pass\n"
@@ -310,7 +304,7 @@ def test_a_controller_that_ends_its_run_is_not_run_again(own: Path, tmp_path: Pa
     assert can_rig.load(tmp_path / "run").signals.index[-1] == pytest.approx(0.399, abs=2e-3)
 
 
-def test_limits_and_missing_inputs_are_the_nodes(own: Path) -> None:
+def test_limits_and_missing_inputs_are_the_nodes(own):
     (own / "much.py").write_text(
         "class Much:\n    held = 0\n    def __init__(self, setup): pass\n"
         "    def reset(self, reference): pass\n    def hold(self): Much.held += 1\n"
@@ -328,7 +322,7 @@ def test_limits_and_missing_inputs_are_the_nodes(own: Path) -> None:
     assert sys.modules["much"].Much.held == 1
 
 
-def test_other_ways_to_run_belong_to_the_law() -> None:
+def test_other_ways_to_run_belong_to_the_law():
     with pytest.raises(ExportError, match="--controller c: must be left out"):
         controller_of("c", of("pi"))
     pi = "controller.kind=pi"
@@ -353,7 +347,7 @@ def answers_of(law: FiltersLaw) -> FloatArray:
     return np.array([law.step(Inputs(*row))[:3] for row in INPUTS.tolist()])
 
 
-def test_filters_answer_as_scipys_in_series() -> None:
+def test_filters_answer_as_scipys_in_series():
     """u1 = C (r - y), then d̂ = F1 u1 + F2 y, then u2 = F̂ d̂, by ``lfilter`` one after another."""
     tick_s = 0.001
     named = {
@@ -372,7 +366,7 @@ def test_filters_answer_as_scipys_in_series() -> None:
     )
 
 
-def test_a_loop_within_a_tick_is_solved_once() -> None:
+def test_a_loop_within_a_tick_is_solved_once():
     """u2 = F̂ d̂ and d̂ = y + F1 u2, both without delay: d̂ = y/(1 - f g)."""
     law = FiltersLaw({
         "f2": discretise(([1.0], [1.0]), 0.001), "f1_u2": discretise(([0.5], [1.0]), 0.001),
@@ -397,7 +391,7 @@ FORMS = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_one_filter_in_z_in_every_form(form: str) -> None:
+def test_one_filter_in_z_in_every_form(form):
     domain = [] if form == "sos" else ["controller.c.domain=z"]
     peer = peer_of(of("filters", *FORMS[form], *domain))
     u1 = [peer.step(Inputs(r, 0.0)).command_1 for r in INPUTS[:, 0].tolist()]
@@ -413,7 +407,7 @@ def test_one_filter_in_z_in_every_form(form: str) -> None:
         ([], "a filter must be set"),
     ],
 )
-def test_a_filter_that_is_none_is_refused(settings: list[str], line: str) -> None:
+def test_a_filter_that_is_none_is_refused(settings, line):
     with pytest.raises(RigError, match=line):
         refuse(of("filters", *settings))
 
@@ -421,7 +415,7 @@ def test_a_filter_that_is_none_is_refused(settings: list[str], line: str) -> Non
 # --- margins -------------------------------------------------------------------------------------
 
 
-def test_our_own_law_read_off_its_answers_has_its_matrices_response() -> None:
+def test_our_own_law_read_off_its_answers_has_its_matrices_response():
     """The same law twice: by its memories, and by its impulse response alone."""
     scenario = load("default", ["limits.torque_nm=1e6", "limits.force_difference_n=1e6"])
     table = controller_table(scenario, None)
@@ -443,7 +437,7 @@ def test_our_own_law_read_off_its_answers_has_its_matrices_response() -> None:
         )
 
 
-def test_the_margins_of_filters_are_those_of_their_transfer_functions() -> None:
+def test_the_margins_of_filters_are_those_of_their_transfer_functions():
     scenario = load("default", [*FILTERS, "budget.box=0"])
     law = linear_law_of(scenario)
     c = discretise(([20.0, 100.0], [1.0, 0.0]), scenario.tick_s)
@@ -454,7 +448,7 @@ def test_the_margins_of_filters_are_those_of_their_transfer_functions() -> None:
         assert response[0, 0] == pytest.approx(-response[0, 1], rel=1e-6)
 
 
-def test_a_controller_that_is_not_linear_has_no_margins(own: Path) -> None:
+def test_a_controller_that_is_not_linear_has_no_margins(own):
     (own / "relay.py").write_text(
         "class Relay:\n    def __init__(self, setup): pass\n    def reset(self, reference): pass\n"
         "    def step(self, inputs): return (10.0 if inputs.reference > 0 else -10.0), 0.0\n"
@@ -464,7 +458,7 @@ def test_a_controller_that_is_not_linear_has_no_margins(own: Path) -> None:
     refuse(of("relay:Relay"))  # runs all the same
 
 
-def test_a_controller_that_computes_with_its_limits_has_margins(own: Path) -> None:
+def test_a_controller_that_computes_with_its_limits_has_margins(own):
     """Commands as shares of their limits, as of an MPC: check and run tell the same limits."""
     (own / "shares.py").write_text(
         "class Shares:\n    def __init__(self, setup): self.limits = setup.limits\n"
@@ -483,14 +477,14 @@ def test_a_controller_that_computes_with_its_limits_has_margins(own: Path) -> No
     assert [str(each) for each in found.findings] == [str(each) for each in expected.findings]
 
 
-def test_the_steps_of_a_sensor_are_not_too_coarse_for_a_loop_that_a_loss_opens() -> None:
+def test_the_steps_of_a_sensor_are_not_too_coarse_for_a_loop_that_a_loss_opens():
     """Noise walks an open integrator away without end, whatever the step of the frame."""
     margins = check_stability(of("pi", "budget.box=0"))
     assert np.isinf(margins.faulted.noise_to_command_1)
     assert list(margins.network_notes) == []
 
 
-def test_an_unstable_loop_is_refused() -> None:
+def test_an_unstable_loop_is_refused():
     settings = ["controller.c.num=[-500.0]", "controller.c.den=[1.0]"]
     with pytest.raises(RigError, match=r"controller\.kind = 'filters': unstable \(healthy\)"):
         refuse(of("filters", *settings))
@@ -517,7 +511,7 @@ def library(folder: Path, text: str, name: str = "own") -> Path:
 
 
 @needs_compiler
-def test_the_example_in_c_is_the_example_in_python(tmp_path: Path, own: Path) -> None:
+def test_the_example_in_c_is_the_example_in_python(tmp_path, own):
     (own / "mypi.py").write_text(example_of_the_page())
     numbers = ["controller.parameters.kp=20.0", "controller.parameters.ki=100.0"]
     made = library(tmp_path, EXAMPLE.read_text())
@@ -534,9 +528,7 @@ def test_the_example_in_c_is_the_example_in_python(tmp_path: Path, own: Path) ->
         (("return made;", "return 0;"), "controller_new answers NULL"),
     ],
 )
-def test_a_library_that_is_none_is_refused(
-    change: tuple[str, str], line: str, tmp_path: Path
-) -> None:
+def test_a_library_that_is_none_is_refused(change, line, tmp_path):
     text = EXAMPLE.read_text()
     assert change[0] in text
     text = text.replace(
@@ -546,7 +538,7 @@ def test_a_library_that_is_none_is_refused(
         refuse(of(f"c:{library(tmp_path, text.replace(*change), 'bad')}"))
 
 
-def test_a_file_that_is_no_library_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_no_library_is_refused(tmp_path):
     (tmp_path / "text.so").write_text("no library")
     with pytest.raises(RigError, match="must be a shared library, as of cc -shared"):
         refuse(of(f"c:{tmp_path / 'text.so'}"))
@@ -555,7 +547,7 @@ def test_a_file_that_is_no_library_is_refused(tmp_path: Path) -> None:
 # --- an FMU --------------------------------------------------------------------------------------
 
 
-def test_an_fmu_is_a_controller(tmp_path: Path) -> None:
+def test_an_fmu_is_a_controller(tmp_path):
     """x' = -x + r - y, u1 = 10 x, as an FMU and by scipy's exact matrices of a held input."""
     if CC is None:
         pytest.skip("no C compiler")

@@ -1,7 +1,5 @@
 """A car without a sensor of D*: the controller makes D* of yaw rate and lateral acceleration."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import can
@@ -45,7 +43,7 @@ def logged(folder: Path, scenario: Scenario, controller: str) -> Path:
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_every_loop_has_the_same_bytes(tmp_path: Path, precision: str) -> None:
+def test_every_loop_has_the_same_bytes(tmp_path, precision):
     scenario = made(f"design.precision={precision}")
     logs = [logged(tmp_path, scenario, each) for each in ("none", "python", "c", "ecu")]
     first, *others = (log.read_bytes() for log in logs)
@@ -58,7 +56,7 @@ def test_every_loop_has_the_same_bytes(tmp_path: Path, precision: str) -> None:
     assert np.isnan(seen.dstar_mps2).all()
 
 
-def test_what_the_pictures_show_is_what_the_frames_of_both_sensors_make(tmp_path: Path) -> None:
+def test_what_the_pictures_show_is_what_the_frames_of_both_sensors_make(tmp_path):
     scenario, database = made(), cantools.database.load_file(DBC / "steer_by_wire.dbc")
     log, network = logged(tmp_path, scenario, "none"), network_of(scenario)
     shown = with_verdict(scenario, network, read_signals(log, network, scenario.tick_s)).dstar_mps2
@@ -75,7 +73,7 @@ def test_what_the_pictures_show_is_what_the_frames_of_both_sensors_make(tmp_path
     assert np.abs(shown).max() > 0.5
 
 
-def test_a_wrong_sensor_is_a_wrong_output() -> None:
+def test_a_wrong_sensor_is_a_wrong_output():
     """Both sensors of one car: a bias of either sensor and a lost actuator look alike."""
     fault = "fault={kind='sensor-biased', channel='yaw-rate', at_s=2, offset=0.05}"
     scenario = made(fault)
@@ -101,7 +99,7 @@ def test_a_wrong_sensor_is_a_wrong_output() -> None:
         ("chassis-cluster", ["fault.kind=sensor-dead"], "fault: must be of 'yaw-rate' or"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_made_is_refused(name: str, settings: list[str], said: str) -> None:
+def test_what_cannot_be_made_is_refused(name, settings, said):
     with pytest.raises(ScenarioError) as caught:
         load(name, [*MADE, *settings])
     assert said in str(caught.value) and "\n" not in str(caught.value)

@@ -1,7 +1,5 @@
 """Databases to decode with, random and of features of public DBCs, and cantools' answer."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterator

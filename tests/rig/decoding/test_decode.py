@@ -1,7 +1,5 @@
 """Columns are what cantools says of every frame, to the bit."""
 
-from __future__ import annotations
-
 import cantools
 import numpy as np
 import pytest
@@ -17,7 +15,7 @@ from tests.rig.logs.messages import from_messages
 
 @settings(max_examples=200)
 @given(databases(), st.data())
-def test_every_value_is_that_of_cantools(database: Database, data: st.DataObject) -> None:
+def test_every_value_is_that_of_cantools(database, data):
     payloads = []
     for message in database.messages:
         sizes = st.one_of(st.just(message.length), st.integers(0, 64 if message.is_fd else 8))
@@ -47,7 +45,7 @@ def test_every_value_is_that_of_cantools(database: Database, data: st.DataObject
 @example(64, False, False, 2**64 - 1025, 0.1, 0)  # half-way between two floats
 @example(54, True, False, 2**53 + 1, 3, 0.5)  # the product is exact before the sum is not
 @example(64, True, True, 2**63 + 1, 2**40, 0)
-def test_scaling_at_the_edges(length, motorola, signed, raw, scale, offset) -> None:
+def test_scaling_at_the_edges(length, motorola, signed, raw, scale, offset):
     start = 7 if motorola else 0
     conversion = BaseConversion.factory(scale, offset)
     order = "big_endian" if motorola else "little_endian"
@@ -66,7 +64,7 @@ def test_scaling_at_the_edges(length, motorola, signed, raw, scale, offset) -> N
         max_size=30,
     )
 )
-def test_the_features_of_public_databases(draws: list[tuple[int, bytes]]) -> None:
+def test_the_features_of_public_databases(draws):
     database = cantools.database.load_string(FEATURES, "dbc")
     require_agreement(database, [(database.messages[at], payload) for at, payload in draws])
 
@@ -83,7 +81,7 @@ def test_the_features_of_public_databases(draws: list[tuple[int, bytes]]) -> Non
         (8, False, 0.5, np.float64),
     ],
 )
-def test_columns_are_as_narrow_as_what_can_occur(length, signed, scale, kind) -> None:
+def test_columns_are_as_narrow_as_what_can_occur(length, signed, scale, kind):
     signal = Signal("S", 0, length, is_signed=signed, conversion=BaseConversion.factory(scale))
     columns = Decoder(Database([DbcMessage(1, "M", 8, [signal])])).decode(
         from_messages([Message(arbitration_id=1, is_extended_id=False, data=bytes(8))])
@@ -91,7 +89,7 @@ def test_columns_are_as_narrow_as_what_can_occur(length, signed, scale, kind) ->
     assert columns["M"].signals["S"].dtype == kind
 
 
-def test_units_words_and_pandas() -> None:
+def test_units_words_and_pandas():
     database = cantools.database.load_string(FEATURES, "dbc")
     payloads = [b"\xc0" + bytes(7), b"\x40" + bytes(7), b"\x80" + bytes(7)]
     decoder = Decoder(database)

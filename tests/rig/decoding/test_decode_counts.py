@@ -1,9 +1,5 @@
 """What is not decoded is counted: damaged, lost, unknown and unwanted frames."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import asammdf
 import cantools
 import pytest
@@ -42,9 +38,7 @@ def protected(counters: list[int], data_id: int) -> list[bytes]:
     ),
     st.integers(0, 40),
 )
-def test_protected_frames_are_judged_as_the_receiver_judges_them(
-    draws: list[tuple[int, str]], middle: int
-) -> None:
+def test_protected_frames_are_judged_as_the_receiver_judges_them(draws, middle):
     """By a `Checker` that misses a frame of every counter between two frames, so that every step is
     tolerated: a log has no empty ticks.
     """
@@ -81,7 +75,7 @@ def test_protected_frames_are_judged_as_the_receiver_judges_them(
     assert counts.gaps == statuses.count(CheckStatus.OK_SOME_LOST)
 
 
-def test_lost_frames_are_those_that_were_taken_out() -> None:
+def test_lost_frames_are_those_that_were_taken_out():
     database = load_database(RIG)
     (message,) = (m for m in database.messages if m.name == "DSTAR_REFERENCE")
     data_id = message.dbc.attributes["E2EDataId"].value
@@ -94,7 +88,7 @@ def test_lost_frames_are_those_that_were_taken_out() -> None:
     assert (counts.gaps, counts.lost, counts.decoded) == (2, 4, 95)
 
 
-def test_every_frame_is_accounted_for() -> None:
+def test_every_frame_is_accounted_for():
     database = load_database(RIG)
     same_number = {"arbitration_id": 0x100, "data": bytes(8)}
     frames = [
@@ -112,7 +106,7 @@ def test_every_frame_is_accounted_for() -> None:
     assert (decoder.frames, decoder.error_frames) == (5, 1)
 
 
-def test_frames_that_become_too_short_in_an_mdf_file(tmp_path: Path) -> None:
+def test_frames_that_become_too_short_in_an_mdf_file(tmp_path):
     """The first chunk does not show that a signal will be missing."""
     database = cantools.database.load_string(FEATURES, "dbc")
     decoder = Decoder(database)
@@ -127,7 +121,7 @@ def test_frames_that_become_too_short_in_an_mdf_file(tmp_path: Path) -> None:
         assert opened.get("Temp").timestamps.tolist() == [0]
 
 
-def test_channels_are_told_apart() -> None:
+def test_channels_are_told_apart():
     database = cantools.database.load_string(FEATURES, "dbc")
     frames = [
         Message(arbitration_id=1024, is_extended_id=False, data=bytes(8), channel=name)
@@ -141,7 +135,7 @@ def test_channels_are_told_apart() -> None:
     assert "can0, can1" in decoder.nothing_on_channel
 
 
-def test_only_what_is_wanted() -> None:
+def test_only_what_is_wanted():
     database = cantools.database.load_string(FEATURES, "dbc")
     frames = [
         Message(arbitration_id=1024, is_extended_id=False, data=bytes(8)),
@@ -161,7 +155,7 @@ def test_only_what_is_wanted() -> None:
         Decoder(database, messages=["BIGG"])
 
 
-def test_a_signal_that_does_not_fit_is_left_out() -> None:
+def test_a_signal_that_does_not_fit_is_left_out():
     text = FEATURES.replace("Temp : 36|7@0-", "Temp : 60|16@0-")
     database = cantools.database.load_string(text, "dbc", strict=False)
     decoder = Decoder(database)

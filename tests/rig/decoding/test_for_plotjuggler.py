@@ -1,10 +1,7 @@
 """MCAP and Parquet as PlotJuggler, Foxglove and pandas take them."""
 
-from __future__ import annotations
-
 import json
 import math
-from pathlib import Path
 
 import pandas as pd
 import pyarrow.parquet as pq
@@ -31,7 +28,7 @@ DATE_S = 1_700_000_000
 
 
 @pytest.fixture
-def log(tmp_path: Path) -> Path:
+def log(tmp_path):
     """Both pages of a message, a value that is no number, and a word with quotation marks."""
     (tmp_path / "car.dbc").write_text(DBC, "ascii")
     lines = []
@@ -45,7 +42,7 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
-def test_mcap_has_every_frame_as_json(log: Path, tmp_path: Path) -> None:
+def test_mcap_has_every_frame_as_json(log, tmp_path):
     out = tmp_path / "a.mcap"
     done = asked("decode", log, "--dbc", log.with_suffix(".dbc"), "--out", out)
     assert done.returncode == 0, done.stderr
@@ -69,7 +66,7 @@ def test_mcap_has_every_frame_as_json(log: Path, tmp_path: Path) -> None:
     assert schemas["STATE"]["properties"]["Mode"]["type"] == "integer"
 
 
-def test_words_of_a_bus_of_its_own(log: Path, tmp_path: Path) -> None:
+def test_words_of_a_bus_of_its_own(log, tmp_path):
     out = tmp_path / "a.mcap"
     database = f"can0={log.with_suffix('.dbc')}"
     done = asked("decode", log, "--dbc", database, "--names", "--relative", "--out", out)
@@ -81,7 +78,7 @@ def test_words_of_a_bus_of_its_own(log: Path, tmp_path: Path) -> None:
     assert json.loads(found[0][0].data)["properties"]["Mode"]["type"] == "string"
 
 
-def test_parquet_and_mcap_name_their_series_alike(log: Path, tmp_path: Path) -> None:
+def test_parquet_and_mcap_name_their_series_alike(log, tmp_path):
     """PlotJuggler calls what is in an MCAP file topic/field; a Parquet file is a topic."""
     outputs = ("--out", tmp_path / "a.mcap", "--out", tmp_path / "a.parquet")
     asked("decode", log, "--dbc", log.with_suffix(".dbc"), *outputs)
@@ -97,7 +94,7 @@ def test_parquet_and_mcap_name_their_series_alike(log: Path, tmp_path: Path) -> 
     assert "SPEEDS/Left" in series
 
 
-def test_parquet_has_dates_that_pandas_knows(log: Path, tmp_path: Path) -> None:
+def test_parquet_has_dates_that_pandas_knows(log, tmp_path):
     asked("decode", log, "--dbc", log.with_suffix(".dbc"), "--out", tmp_path / "a.parquet")
     path = tmp_path / "a.parquet" / "SPEEDS.parquet"
     table = pd.read_parquet(path)
@@ -109,7 +106,7 @@ def test_parquet_has_dates_that_pandas_knows(log: Path, tmp_path: Path) -> None:
     assert len(part.dropna()) == 20
 
 
-def test_mcap_has_no_times_before_1970(tmp_path: Path, log: Path) -> None:
+def test_mcap_has_no_times_before_1970(tmp_path, log):
     from can_rig.decoding.decode import decode_log
     from can_rig.decoding.files import Contents, output
     from can_rig.errors import LogError

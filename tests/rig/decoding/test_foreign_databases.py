@@ -1,7 +1,5 @@
 """Databases that break conventions: duplicate names, signals outside, unbounded lengths."""
 
-from __future__ import annotations
-
 import resource
 from pathlib import Path
 
@@ -47,7 +45,7 @@ def written(folder: Path, text: str, name: str = "a.dbc") -> Path:
     return path
 
 
-def test_two_messages_of_one_name_are_two_messages(tmp_path: Path) -> None:
+def test_two_messages_of_one_name_are_two_messages(tmp_path):
     database = load_database(written(tmp_path, TWICE))
     frames = [frame(256, b"\5\0"), frame(257, b"\7\1"), frame(258, b"\1"), frame(256, b"\6\0")]
     decoder = Decoder(database)
@@ -72,11 +70,11 @@ def test_two_messages_of_one_name_are_two_messages(tmp_path: Path) -> None:
         ({"signals": ["X"]}, {"SAME_100", "SAME_101"}),
     ],
 )
-def test_either_name_may_be_asked_for(tmp_path: Path, wanted: dict, found: set[str]) -> None:
+def test_either_name_may_be_asked_for(tmp_path, wanted, found):
     assert set(Decoder(load_database(written(tmp_path, TWICE)), **wanted).messages) == found
 
 
-def test_a_signal_outside_its_message_is_left_out_alone(tmp_path: Path) -> None:
+def test_a_signal_outside_its_message_is_left_out_alone(tmp_path):
     path = written(tmp_path, OUTSIDE)
     with pytest.raises(DbcError, match="does not fit"):
         load_database(path)
@@ -104,9 +102,7 @@ def test_a_signal_outside_its_message_is_left_out_alone(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("strict", [True, False])
-def test_a_length_beyond_any_frame_takes_no_memory(
-    tmp_path: Path, old: str, new: str, line: int, strict: bool
-) -> None:
+def test_a_length_beyond_any_frame_takes_no_memory(tmp_path, old, new, line, strict):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(
         DbcError, match=rf"a.dbc: line {line}: a place or length of (2147483648|65536); "
@@ -129,7 +125,7 @@ SG_MUL_VAL_ 2028 Serial R 61840-61845, 65535-65535;
 """
 
 
-def test_multiplexers_of_16_bits(tmp_path: Path) -> None:
+def test_multiplexers_of_16_bits(tmp_path):
     """As UDS has them: a service, and below it an identifier of data."""
     database = load_database(written(tmp_path, UDS))
     identifiers = [49163, 61840, 61843, 61845, 61846, 65535, 0]
@@ -141,7 +137,7 @@ def test_multiplexers_of_16_bits(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "values", ["49163-4294967295", "0-99999999999", "0-65535, 0-65535,\n 0-65535, 0-65535, 0-99"]
 )
-def test_more_values_of_a_multiplexer_than_can_be_listed(tmp_path: Path, values: str) -> None:
+def test_more_values_of_a_multiplexer_than_can_be_listed(tmp_path, values):
     line = 9 + values.count("\n")
     with pytest.raises(DbcError, match=rf"a.dbc: line {line}: with .* more than 262144 values"):
         load_database(written(tmp_path, UDS.replace("49163-49163", values)))
@@ -176,15 +172,13 @@ def test_more_values_of_a_multiplexer_than_can_be_listed(tmp_path: Path, values:
     ],
 )
 @pytest.mark.parametrize("strict", [True, False])
-def test_what_cannot_be_loaded_is_said_with_its_line(
-    tmp_path: Path, old: str, new: str, said: str, strict: bool
-) -> None:
+def test_what_cannot_be_loaded_is_said_with_its_line(tmp_path, old, new, said, strict):
     """Found in opendbc; the last one has lines that are left out."""
     with pytest.raises(DbcError, match=f"a.dbc: .*: {said}"):
         load_database(written(tmp_path, TWICE.replace(old, new)), strict)
 
 
-def test_a_value_table_without_its_signal_is_said_with_its_line(tmp_path: Path) -> None:
+def test_a_value_table_without_its_signal_is_said_with_its_line(tmp_path):
     path = written(tmp_path, TWICE + 'VAL_ 257 Q 1 "a" ;\n')
     line = TWICE.count("\n") + 1
     with pytest.raises(DbcError, match=f"line {line}: unused VAL_.* must be in the message"):
@@ -192,7 +186,7 @@ def test_a_value_table_without_its_signal_is_said_with_its_line(tmp_path: Path) 
     assert load_database(path, strict=False).messages
 
 
-def test_signals_without_a_place_or_a_name(tmp_path: Path) -> None:
+def test_signals_without_a_place_or_a_name(tmp_path):
     """Found by tools/fuzz: a signal behind no multiplexer, one without a name, and others."""
     text = TWICE.replace(" SG_ Z : 0|8", " SG_ Z m3 : 0|8")
     decoder = Decoder(load_database(written(tmp_path, text), strict=False))
@@ -206,7 +200,7 @@ def test_signals_without_a_place_or_a_name(tmp_path: Path) -> None:
         load_database(written(tmp_path, kcd, "a.kcd"))
 
 
-def test_a_database_is_known_by_what_is_in_it(tmp_path: Path) -> None:
+def test_a_database_is_known_by_what_is_in_it(tmp_path):
     text = (DBC / "steer_by_wire.dbc").read_text("utf-8")
     assert len(load_database(written(tmp_path, text, "dbc.sym")).messages) == 11
     sym = (
@@ -224,7 +218,7 @@ def test_a_database_is_known_by_what_is_in_it(tmp_path: Path) -> None:
         load_database(written(tmp_path, "<AUTOSAR>", "a.dbc"))
 
 
-def test_no_library_prints_beside_the_command(tmp_path: Path) -> None:
+def test_no_library_prints_beside_the_command(tmp_path):
     """cantools warns of two messages with one identifier."""
     path = written(tmp_path, TWICE.replace("257 SAME", "256 SAME"))
     log = tmp_path / "a.log"
@@ -263,7 +257,7 @@ VAL_ 256 X 1 "on" ;
 """
 
 
-def test_two_signals_of_one_name_are_two_signals(tmp_path: Path) -> None:
+def test_two_signals_of_one_name_are_two_signals(tmp_path):
     """As in canmatrix's j1939.dbc, whose long names are the same where the short ones are not."""
     path = written(tmp_path, NAMED_ALIKE)
     with pytest.raises(DbcError, match="Lock State and Lock State are overlapping"):
@@ -274,7 +268,7 @@ def test_two_signals_of_one_name_are_two_signals(tmp_path: Path) -> None:
     assert values == {"Lock State_0": [1], "Lock State_8": [2], "C": [3]}
 
 
-def test_a_dbc_as_opendbc_has_them(tmp_path: Path) -> None:
+def test_a_dbc_as_opendbc_has_them(tmp_path):
     """Extended identifiers without bit 31, and value tables of signals that there are not."""
     path = written(tmp_path, UNMARKED)
     with pytest.raises(DbcError, match="more than 11 bits"):

@@ -1,9 +1,6 @@
 """J1939's transport protocol: messages of more than 8 bytes, to all (BAM) and to one (RTS/CTS)."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -102,7 +99,7 @@ def put_together(chunks: list[Frames]) -> tuple[Transport, list[tuple[int, int, 
 
 
 @pytest.mark.parametrize("chunk", [1, 3, 100])
-def test_what_another_program_sends(tmp_path: Path, chunk: int) -> None:
+def test_what_another_program_sends(tmp_path, chunk):
     (tmp_path / "a.log").write_text(BY_CAN_J1939, "ascii")
     transport, found = put_together(list(read_log(tmp_path / "a.log", chunk)))
     assert found == [(2, 0x18FECA10, SENT[0x18FECA10]), (7, 0x18EF2010, SENT[0x18EF2010])]
@@ -110,7 +107,7 @@ def test_what_another_program_sends(tmp_path: Path, chunk: int) -> None:
 
 
 @given(st.data())
-def test_any_messages_of_many_senders_at_once(data: st.DataObject) -> None:
+def test_any_messages_of_many_senders_at_once(data):
     """Each sender's frames in their order, the senders' mixed in any."""
     count = data.draw(st.integers(1, 5))
     queues, wanted = [], {}
@@ -131,12 +128,12 @@ def test_any_messages_of_many_senders_at_once(data: st.DataObject) -> None:
         assert mixed[row].arbitration_id & 0xFF == identifier & 0xFF
 
 
-def test_the_longest_message() -> None:
+def test_the_longest_message():
     content = bytes(at % 251 for at in range(1785))
     assert put_together([from_messages(bam(content, 3))])[1][0][2] == content
 
 
-def test_packets_that_a_receiver_asks_for_again() -> None:
+def test_packets_that_a_receiver_asks_for_again():
     content = bytes(range(30))
     frames = rts(content, 1, 2)
     frames[4:4] = [*frames[2:4], manage(17, 0x102, 0xEF00, 2, 1)]
@@ -158,7 +155,7 @@ def test_packets_that_a_receiver_asks_for_again() -> None:
         lambda frames: [*frames[:2], *packets(bytes(20), 1, 255, 1.3)[1:]],  # 1.25 s at most
     ],
 )
-def test_a_message_that_is_not_complete(damaged) -> None:
+def test_a_message_that_is_not_complete(damaged):
     transport, found = put_together([from_messages(damaged(bam(bytes(20), 1)))])
     assert found == []
     assert transport.incomplete == 1
@@ -167,7 +164,7 @@ def test_a_message_that_is_not_complete(damaged) -> None:
         assert len(put_together([from_messages(after)])[1]) == 1  # the next one is
 
 
-def test_what_is_no_frame_of_the_protocol() -> None:
+def test_what_is_no_frame_of_the_protocol():
     frames = bam(bytes(20), 1)
     short = Message(0.0, frames[1].arbitration_id, True, data=b"\1\2", channel="can0")
     base = Message(0.0, 0x6EB, False, data=bytes(8), channel="can0")
@@ -180,7 +177,7 @@ def test_what_is_no_frame_of_the_protocol() -> None:
     assert transport.incomplete == 0
 
 
-def test_long_messages_are_decoded_beside_short_frames(tmp_path: Path) -> None:
+def test_long_messages_are_decoded_beside_short_frames(tmp_path):
     (tmp_path / "a.dbc").write_text(DBC, "ascii")
     content = bytes([7, *bytes(18), 21])
     frames = [
@@ -208,7 +205,7 @@ def test_long_messages_are_decoded_beside_short_frames(tmp_path: Path) -> None:
     assert only.unknown.total() == len(frames)
 
 
-def test_the_command_says_what_became_of_them(tmp_path: Path) -> None:
+def test_the_command_says_what_became_of_them(tmp_path):
     (tmp_path / "a.dbc").write_text(DBC, "ascii")
     (tmp_path / "a.log").write_text(BY_CAN_J1939.replace("18ECFF10#2009", "18ECFF10#2008"), "ascii")
     done = asked("decode", tmp_path / "a.log", "--dbc", tmp_path / "a.dbc")

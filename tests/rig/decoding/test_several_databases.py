@@ -1,9 +1,6 @@
 """Several buses, each with its own database; and J1939 messages by their parameter groups."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import pytest
 from can import Message
@@ -37,7 +34,7 @@ def frame(bus: str, identifier: int, data: bytes, extended: bool = False) -> Mes
     return Message(arbitration_id=identifier, is_extended_id=extended, data=data, channel=bus)
 
 
-def test_four_buses_and_three_databases(tmp_path: Path) -> None:
+def test_four_buses_and_three_databases(tmp_path):
     files = [
         written(tmp_path, ONE.format(name="SAME", factor=factor), f"{factor}.dbc")
         for factor in (1, 2, 3)
@@ -57,7 +54,7 @@ def test_four_buses_and_three_databases(tmp_path: Path) -> None:
     assert asked("decode", log, "--dbc", f"can9={files[0]}").returncode == 2
 
 
-def test_a_database_of_one_bus_beside_one_of_all(tmp_path: Path) -> None:
+def test_a_database_of_one_bus_beside_one_of_all(tmp_path):
     one = load_database(written(tmp_path, ONE.format(name="A", factor=1), "a.dbc"))
     other = load_database(
         written(tmp_path, ONE.format(name="B", factor=1).replace("256", "257"), "b.dbc")
@@ -73,7 +70,7 @@ def test_a_database_of_one_bus_beside_one_of_all(tmp_path: Path) -> None:
         Decoder([("x", one)], messages=["C"])
 
 
-def test_a_parameter_group_whoever_sends_it(tmp_path: Path) -> None:
+def test_a_parameter_group_whoever_sends_it(tmp_path):
     database = load_database(written(tmp_path, J1939, "a.dbc"))
     data = bytes([0, 0, 0, 0x40, 0x1F, 0, 0, 0])
     frames = [
@@ -93,9 +90,7 @@ def test_a_parameter_group_whoever_sends_it(tmp_path: Path) -> None:
 
 
 @given(st.integers(0, (1 << 29) - 1), st.integers(0, 7), st.integers(0, 255), st.integers(0, 255))
-def test_a_group_is_the_identifier_without_priority_and_addresses(
-    identifier: int, priority: int, to: int, source: int
-) -> None:
+def test_a_group_is_the_identifier_without_priority_and_addresses(identifier, priority, to, source):
     """SAE J1939-21: below PDU format 240 the next byte is an address, from there on it is not."""
     to_one = (identifier >> 16 & 0xFF) < 240
     other = identifier & 0x03FF0000 | priority << 26 | source
@@ -107,7 +102,7 @@ def test_a_group_is_the_identifier_without_priority_and_addresses(
 
 
 @pytest.mark.parametrize("suffix", [".log", ".blf", ".mf4"])
-def test_can_fd_j1939_and_classic_buses_in_one_log(tmp_path: Path, suffix: str) -> None:
+def test_can_fd_j1939_and_classic_buses_in_one_log(tmp_path, suffix):
     """CAN FD of 64 bytes, J1939 with long messages, a classic bus, and one without a database."""
     fd = 'VERSION ""\nBU_: A\nBO_ 256 LONG: 64 A\n SG_ LAST : 488|24@1- (0.5,1) [0|0] "" A\n'
     files = [
@@ -146,7 +141,7 @@ def test_can_fd_j1939_and_classic_buses_in_one_log(tmp_path: Path, suffix: str) 
     assert decoded[names[2]].signals["X"].tolist() == [at * 3 for at in range(10)]
 
 
-def test_statistics_name_messages_by_bus_and_parameter_group(tmp_path: Path) -> None:
+def test_statistics_name_messages_by_bus_and_parameter_group(tmp_path):
     log = written(tmp_path, "(0.0) can0 0CF00417#00\n(0.1) can1 100#01\n(0.2) can0 100#\n", "a.log")
     one = written(tmp_path, ONE.format(name="SHORT", factor=3), "one.dbc")
     other = written(tmp_path, J1939, "other.dbc")

@@ -1,7 +1,5 @@
 """Databases with many signals: a table for each message, and one CSV table of all."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,7 +19,7 @@ DATE_S = 1_700_000_000
 
 
 @pytest.fixture(scope="module")
-def wide(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wide(tmp_path_factory):
     """A log beside a database of 40 messages with 16 signals, some of them of awkward names."""
     folder = tmp_path_factory.mktemp("wide")
     lines = ['VERSION ""', "BU_: A"]
@@ -55,7 +53,7 @@ def decoded(wide: Path, out: Path, names: bool = False) -> Path:
     return out
 
 
-def test_parquet_is_a_file_for_each_message(wide: Path, tmp_path: Path) -> None:
+def test_parquet_is_a_file_for_each_message(wide, tmp_path):
     folder = decoded(wide, tmp_path / "a.parquet")
     wanted: dict[str, list[dict[str, float]]] = {}
     for time_ns, message, values in by_cantools(wide):
@@ -68,16 +66,14 @@ def test_parquet_is_a_file_for_each_message(wide: Path, tmp_path: Path) -> None:
         assert table.rename(columns={"M07.time": "time"}).to_dict("records") == rows
 
 
-def test_rows_are_held_until_a_row_group_is_long(wide: Path, tmp_path: Path) -> None:
+def test_rows_are_held_until_a_row_group_is_long(wide, tmp_path):
     """A row group a chunk would make a footer that grows with the log, which stays in memory."""
     folder = decoded(wide, tmp_path / "a.parquet")
     for path in folder.glob("*.parquet"):
         assert (pq.ParquetFile(path).num_row_groups, pq.read_metadata(path).num_rows) == (1, ROWS)
 
 
-def test_what_is_held_is_bounded(
-    wide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_held_is_bounded(wide, tmp_path, monkeypatch):
     from can_rig.decoding import tables
 
     monkeypatch.setattr(tables, "_CELLS", 20 * (SIGNALS + 1))
@@ -92,9 +88,7 @@ def test_what_is_held_is_bounded(
 
 
 @pytest.mark.parametrize("batch", [None, 300])
-def test_one_csv_table_has_every_frame_in_its_place(
-    wide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, batch: int | None
-) -> None:
+def test_one_csv_table_has_every_frame_in_its_place(wide, tmp_path, monkeypatch, batch):
     from can_rig.decoding import tables
 
     if batch is not None:  # fewer bytes than a row has commas

@@ -1,7 +1,5 @@
 """Exported controllers, built once a session."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +21,7 @@ SCENARIOS = {
 
 
 @pytest.fixture(scope="session")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
+def built(tmp_path_factory):
     """The folder of an export after make, by a key of ``SCENARIOS``: gcc has warned of nothing."""
 
     def make(kind: str, folder: Path) -> None:
@@ -38,6 +36,6 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
 
 
 @pytest.fixture(params=["float64", "float32"])
-def folder(request: pytest.FixtureRequest, built: Built) -> Path:
+def folder(request, built):
     """An export in either precision, for one speed."""
     return built(request.param)

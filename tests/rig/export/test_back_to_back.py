@@ -3,8 +3,6 @@
 Compiled at every level, with sanitizers, and on emulated boards.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 import shutil
@@ -90,9 +88,7 @@ def answers_of(law: Law, precision: Precision) -> bytes:
         ("clang", "-O3", "float32"),
     ],
 )
-def test_every_bit_of_the_state_is_the_same(
-    compiler: str, level: str, precision: Precision
-) -> None:
+def test_every_bit_of_the_state_is_the_same(compiler, level, precision):
     """-O1 is the sanitizers' level."""
     if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")
@@ -101,7 +97,7 @@ def test_every_bit_of_the_state_is_the_same(
     assert differing(answers_of(law, precision), precision) == 0
 
 
-def test_another_law_has_other_bits() -> None:
+def test_another_law_has_other_bits():
     files = dict(law_files("float64"))
     files["biquad.c"] = files["biquad.c"].replace("[i][1] * u -", "[i][1] * u +")
     assert files != law_files("float64")
@@ -111,7 +107,7 @@ def test_another_law_has_other_bits() -> None:
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_structs_lie_where_numpy_has_them(precision: Precision) -> None:
+def test_structs_lie_where_numpy_has_them(precision):
     """C says the offset of every field, as assertions that a compiler checks."""
     lines = ["#include <stddef.h>", '#include "layout.h"']
 
@@ -135,7 +131,7 @@ def test_structs_lie_where_numpy_has_them(precision: Precision) -> None:
     shared_library({**headers, "offsets.c": "\n".join(lines) + "\n"})
 
 
-def test_inputs_that_are_missing_are_held() -> None:
+def test_inputs_that_are_missing_are_held():
     tables = random_table(np.random.default_rng(5), "float64")
     tables[0].monitor.enabled, tables[0].prediction.longest = 0, math.inf
     law = CompiledLaw("float64")
@@ -145,7 +141,7 @@ def test_inputs_that_are_missing_are_held() -> None:
 
 
 @pytest.fixture(scope="module")
-def sanitizers() -> None:
+def sanitizers():
     """The libraries that this takes are packages of their own."""
     command = ["gcc", *SANITIZED, "-x", "c", "-", "-o", "/dev/null"]
     program = b"int main(void) { return 0; }"
@@ -157,14 +153,14 @@ def sanitizers() -> None:
 @pytest.mark.parametrize(
     ("precision", "blends"), [("float64", False), ("float32", False), ("float64", True)]
 )
-def test_no_sanitizer_stops_the_law(precision: Precision, blends: bool) -> None:
+def test_no_sanitizer_stops_the_law(precision, blends):
     program = host_program(law_files(precision, blends), ["gcc"], SANITIZED)
     answers = on_host(program, encoded(trials(precision, blends)))
     assert differing(answers, precision, blends) == 0
 
 
 @pytest.mark.usefixtures("sanitizers")
-def test_no_sanitizer_stops_the_node() -> None:
+def test_no_sanitizer_stops_the_node():
     scenario = load("default", [])
     node = application(scenario)
     files = node | bench(node) | {"bench_main.c": support("bench_main.c")}
@@ -174,7 +170,7 @@ def test_no_sanitizer_stops_the_node() -> None:
 
 
 @pytest.mark.usefixtures("sanitizers")
-def test_a_sanitizer_stops_what_is_wrong() -> None:
+def test_a_sanitizer_stops_what_is_wrong():
     files = dict(law_files("float64"))
     files["exponential.c"] = files["exponential.c"].replace("(int32_t)n;", "(int32_t)(n + 1e30);")
     assert files != law_files("float64")
@@ -187,7 +183,7 @@ def test_a_sanitizer_stops_what_is_wrong() -> None:
     ("board", "precision", "blends"),
     [("m4f", "float32", True), ("m7", "float32", False), ("m7", "float64", False)],
 )
-def test_a_board_has_every_bit_of_the_state(board: str, precision: Precision, blends: bool) -> None:
+def test_a_board_has_every_bit_of_the_state(board, precision, blends):
     # Not float64 on an M4F: libgcc's 1 - x has a wrong last bit for some x near 2^-33.
     answers = on_board(law_files(precision, blends), board, encoded(trials(precision, blends)))
     assert differing(answers, precision, blends) == 0
@@ -201,7 +197,7 @@ def test_a_board_has_every_bit_of_the_state(board: str, precision: Precision, bl
         ("own->place = place", "own->place = 0.0"),  # the blending
     ],
 )
-def test_a_change_of_speed_that_differs_is_found(right: str, wrong: str) -> None:
+def test_a_change_of_speed_that_differs_is_found(right, wrong):
     files = dict(law_files("float64", blends=True))
     files["schedule.c"] = files["schedule.c"].replace(right, wrong)
     assert files != law_files("float64", blends=True)
@@ -209,7 +205,7 @@ def test_a_change_of_speed_that_differs_is_found(right: str, wrong: str) -> None
     assert differing(answers, "float64", blends=True) > 100
 
 
-def test_random_speeds_are_of_every_kind() -> None:
+def test_random_speeds_are_of_every_kind():
     """At, between and past the designs, and not finite; tables and turns that it moves."""
     drives = [each.drive for each in trials("float32", blends=True) if each.drive is not None]
     assert len(drives) == MEMORIES
@@ -230,7 +226,7 @@ def address(memory: np.ndarray) -> ctypes.c_void_p:
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_c_saves_the_bytes_of_python_and_refuses_every_flipped_bit(precision: Precision) -> None:
+def test_c_saves_the_bytes_of_python_and_refuses_every_flipped_bit(precision):
     scenario = in_precision(load("default", []), precision)
     of = controls(scenario, network_of(scenario))
     code = ctypes.CDLL(str(host_library(scenario)))

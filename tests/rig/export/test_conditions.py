@@ -4,13 +4,10 @@ By the definition a condition decides a decision where its other value changes t
 values of the conditions that C has not evaluated.
 """
 
-from __future__ import annotations
-
 import random
 import re
 import subprocess
 from itertools import product
-from pathlib import Path
 
 import pytest
 
@@ -69,7 +66,7 @@ def by_definition(expression: str, given: list[tuple[int, ...]]) -> set[str]:
     return {name for name, value in decided if (name, 1 - value) in decided}
 
 
-def test_conditions_are_proven_by_what_decides_both_ways(tmp_path: Path) -> None:
+def test_conditions_are_proven_by_what_decides_both_ways(tmp_path):
     choose = random.Random(3)
     expressions, cases, functions, calls = [], [], [], []
     for number in range(400):
@@ -113,7 +110,7 @@ def test_conditions_are_proven_by_what_decides_both_ways(tmp_path: Path) -> None
     ("combinations", "expected"),
     [([], "not evaluated"), ([1], "never true"), ([2], "never false"), ([9, 2], None)],
 )
-def test_what_was_seen_is_named(combinations: list[int], expected: str | None) -> None:
+def test_what_was_seen_is_named(combinations, expected):
     (decision,) = Recording(
         {"f.c": "int f(int a, int b)\n{\n    return a > 0 || b > 0;\n}\n"}
     ).decisions

@@ -4,8 +4,6 @@ The law in this process; the node in this process, on emulated boards, and at th
 serial port, which is a program behind a pseudo-terminal.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import random
@@ -44,11 +42,9 @@ from can_rig.export.law import number_headers
 from can_rig.export.trials import random_frames
 from can_rig.frames.codec import FRAME_BYTES, Transmitter
 from can_rig.nodes.lockstep import ControllerNode, EcuNode
-from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
 from firmware_model.law.structs import record_type
 from firmware_model.law.supervision.knowledge import Saved
-from tests.rig.export.conftest import Built
 from tests.rig.export.shared import EMULATED, log_of
 
 
@@ -66,10 +62,11 @@ def refused(tmp_path: Path, *options: str) -> str:
 
 @pytest.mark.parametrize(
     ("name", "precision"),
-    [*((name, "float64") for name in sorted(shipped())), ("default", "float32"),
+    [("chapter-2", "float64"), ("cluster", "float64"), ("default", "float64"),
+     ("nonminimum-phase", "float64"), ("wltc", "float64"), ("default", "float32"),
      ("drive-cycle", "float32"), ("pendulum", "float32")],
 )  # fmt: skip
-def test_the_log_is_the_same(name: str, precision: str) -> None:
+def test_the_log_is_the_same(name, precision):
     tick_s = load(name, []).tick_s
     settings = [f'design.precision="{precision}"', f"duration_s={400 * tick_s}"]
     settings += ["design.speeds_mps=[8.0, 8.9, 30.0]"] if name == "drive-cycle" else []
@@ -82,7 +79,7 @@ def test_the_log_is_the_same(name: str, precision: str) -> None:
     assert len(python) > 50_000
 
 
-def test_the_log_of_a_safe_stop_is_the_same() -> None:
+def test_the_log_of_a_safe_stop_is_the_same():
     settings = [
         "reference.kind=step", "duration_s=2.2",
         "fault.0.kind=actuator-dead", "fault.0.at_s=0.5", "fault.1.kind=actuator-dead",
@@ -93,7 +90,7 @@ def test_the_log_of_a_safe_stop_is_the_same() -> None:
     assert log_of("default", settings[:-1]) != python
 
 
-def test_the_precision_is_the_scenario_s() -> None:
+def test_the_precision_is_the_scenario_s():
     single, double = (
         log_of("default", [f'design.precision="{precision}"', "duration_s=0.2"])
         for precision in ("float32", "float64")
@@ -101,7 +98,7 @@ def test_the_precision_is_the_scenario_s() -> None:
     assert single != double
 
 
-def test_two_processes_run_the_c(tmp_path: Path) -> None:
+def test_two_processes_run_the_c(tmp_path):
     command = ["run", "default", "--set", "duration_s=0.2", "--controller", "c"]
     done = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "run")])
     assert done.exit_code == 0, done.output
@@ -119,9 +116,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("compiler", "said"), REFUSED.items(), ids=REFUSED)
-def test_a_compiler_that_refuses_is_one_line(
-    compiler: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_compiler_that_refuses_is_one_line(compiler, said, tmp_path, monkeypatch):
     monkeypatch.setenv("CC", compiler)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     (line,) = refused(tmp_path, "--controller", "c").splitlines()
@@ -130,7 +125,7 @@ def test_a_compiler_that_refuses_is_one_line(
 
 @pytest.mark.parametrize("flag", ["finite-math-only", "unsafe-math-optimizations",
                                   "reciprocal-math", "no-signed-zeros"])  # fmt: skip
-def test_a_part_of_fast_math_is_refused(flag: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_part_of_fast_math_is_refused(flag, monkeypatch):
     monkeypatch.setenv("CC", f"gcc -f{flag}")
     with pytest.raises(ExportError, match=NO_IEEE):
         shared_library({**number_headers("float32"), "real.c": '#include "real.h"\n'})
@@ -147,13 +142,13 @@ def faulty(kind: str, precision: str = "float64") -> list[str]:
 
 
 @pytest.mark.parametrize("kind", ["frames-missing", "frames-corrupted"])
-def test_the_node_in_c_sends_the_same_bytes(kind: str) -> None:
+def test_the_node_in_c_sends_the_same_bytes(kind):
     node = controller_of("ecu", load("default", faulty(kind)))
     python = log_of("default", faulty(kind))
     assert python == log_of("default", faulty(kind), node)
 
 
-def test_the_node_in_c_hears_what_the_actuators_report() -> None:
+def test_the_node_in_c_hears_what_the_actuators_report():
     settings = [
         "duration_s=2.5", "fault.at_s=1.2", 'design.precision="float32"',
         'fault.kind="actuator-oscillating"', 'fault.channel="force-difference"',
@@ -169,7 +164,7 @@ def test_the_node_in_c_hears_what_the_actuators_report() -> None:
     ("board", "precision", "kind"),
     [("m4f", "float32", "frames-corrupted"), ("m7", "float64", "actuator-dead")],
 )
-def test_an_emulated_board_sends_the_same_bytes(board: str, precision: str, kind: str) -> None:
+def test_an_emulated_board_sends_the_same_bytes(board, precision, kind):
     settings = faulty(kind, precision)
     node = controller_of(f"arm:{board}", load("noisy", settings))
     assert log_of("noisy", settings) == log_of("noisy", settings, node)
@@ -185,7 +180,7 @@ def test_an_emulated_board_sends_the_same_bytes(board: str, precision: str, kind
     ],
     ids=["one speed", "blended", "one design", "further sensors"],
 )
-def test_any_frames_are_answered_and_judged_alike(name: str, chosen: list[str], heard: int) -> None:
+def test_any_frames_are_answered_and_judged_alike(name, chosen, heard):
     """Wrong ticks, wrong lengths, repeated, damaged and missing frames, and a late start."""
     scenario = load(name, ["duration_s=1", *chosen])
     network = network_of(scenario)
@@ -210,7 +205,7 @@ def test_any_frames_are_answered_and_judged_alike(name: str, chosen: list[str], 
 
 
 @EMULATED
-def test_an_emulated_board_counts_the_frames_of_the_speed() -> None:
+def test_an_emulated_board_counts_the_frames_of_the_speed():
     chosen = ["duration_s=1", "design.speeds_mps=[8.0, 8.9]", 'design.precision="float32"']
     scenario = load("drive-cycle", chosen)
     network, counts = network_of(scenario), []
@@ -227,9 +222,7 @@ def test_an_emulated_board_counts_the_frames_of_the_speed() -> None:
 
 
 @pytest.mark.parametrize(("tool", "controller"), [(COMPILER, "arm:m4f"), (EMULATOR, "arm:m7")])
-def test_a_missing_tool_is_one_line(
-    tool: str, controller: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_tool_is_one_line(tool, controller, tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: "/" if name != tool else None)
     (line,) = refused(tmp_path, "--controller", controller).splitlines()
     assert f"{tool} is not installed" in line
@@ -237,7 +230,7 @@ def test_a_missing_tool_is_one_line(
 
 
 @EMULATED
-def test_an_emulator_that_ends_is_one_line(tmp_path: Path) -> None:
+def test_an_emulator_that_ends_is_one_line(tmp_path):
     ecu = BenchEcu(EmulatedBoard(tmp_path / "no-such.elf", "m4f"))
     with pytest.raises(ExportError, match=r"qemu-system-arm has ended: .*no-such\.elf"):
         ecu.take(0x100, bytes(8))
@@ -245,7 +238,7 @@ def test_an_emulator_that_ends_is_one_line(tmp_path: Path) -> None:
 
 
 @EMULATED
-def test_single_precision_calls_no_double_arithmetic() -> None:
+def test_single_precision_calls_no_double_arithmetic():
     """In the law and where a command is packed; 32 received bits need a product in double."""
     image = firmware_image(load("noisy", faulty("none", "float32")), "m4f")
     text = subprocess.run(
@@ -266,13 +259,13 @@ def test_single_precision_calls_no_double_arithmetic() -> None:
     assert "__aeabi_dmul" in text
 
 
-def test_real_time_needs_a_node_of_ours(tmp_path: Path) -> None:
+def test_real_time_needs_a_node_of_ours(tmp_path):
     said = refused(tmp_path, "--realtime", "--controller", "ecu")
     assert "the controller must be python or c" in said
 
 
 @pytest.mark.parametrize("name", ["arm:serial:", "arm:m3", "fortran"])
-def test_a_controller_that_is_none_is_refused(name: str, tmp_path: Path) -> None:
+def test_a_controller_that_is_none_is_refused(name, tmp_path):
     assert {each.removeprefix("arm:") for each in CONTROLLERS if ":" in each} == set(BOARDS)
     said = f"{name!r} is not one of python, c, ecu, arm:m4f, arm:m7, arm:serial:PORT."
     assert said in refused(tmp_path, "--controller", name)
@@ -321,22 +314,22 @@ class NodeInC:
         return bool(self.library.ecu_is_overdue(self.ecu, ctypes.c_uint32(now_us)))
 
 
-@pytest.mark.parametrize("ppm", [-200, 200])
-def test_a_clock_that_drifts_misses_no_frame(ppm: int) -> None:
+@pytest.mark.parametrize("ppm", [-800, 800])
+def test_a_clock_that_drifts_misses_no_frame(ppm):
     """Against the sender's clock the node's clock is off by four ticks at the end."""
     node = NodeInC()
     ends = Transmitter(node.network.reference), Transmitter(node.network.feedback)
-    for tick in range(20_000):
+    for tick in range(5000):
         at_us = tick * TICK_US + ppm * tick * TICK_US // 1_000_000
         assert not node.is_overdue(at_us)
         for end in ends:
             node.take(end.frame(0.0, tick), at_us)
-    assert len(node.sent) == 3 * 20_000
-    assert (node.library.ecu_alive(node.ecu), node.library.ecu_stalls(node.ecu)) == (20_000, 0)
+    assert len(node.sent) == 3 * 5000
+    assert (node.library.ecu_alive(node.ecu), node.library.ecu_stalls(node.ecu)) == (5000, 0)
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_feedback_that_does_not_come_is_missed(seed: int) -> None:
+def test_a_feedback_that_does_not_come_is_missed(seed):
     """The application with a CAN driver of Python: half a tick late is missed, as in Python."""
     choose, node = random.Random(seed), NodeInC()
     scenario, network, take, overdue = node.scenario, node.network, node.take, node.is_overdue
@@ -370,7 +363,7 @@ def test_a_feedback_that_does_not_come_is_missed(seed: int) -> None:
     assert len(expected) == 3 * 120
 
 
-def test_a_node_that_stood_still_sends_no_burst() -> None:
+def test_a_node_that_stood_still_sends_no_burst():
     """The node makes up for few ticks; after a longer standstill it begins with the next frames."""
     node = NodeInC()
     library, ecu, sent, network = node.library, node.ecu, node.sent, node.network
@@ -429,7 +422,7 @@ def board(*command: str | Path) -> Iterator[str]:
         os.close(theirs)
 
 
-def test_a_board_at_a_port_sends_the_same_bytes(built: Built) -> None:
+def test_a_board_at_a_port_sends_the_same_bytes(built):
     settings = faulty("frames-corrupted")
     python = log_of("noisy", settings)
     with board(built("float64") / "bench") as port:
@@ -439,9 +432,7 @@ def test_a_board_at_a_port_sends_the_same_bytes(built: Built) -> None:
 
 
 @pytest.mark.parametrize("cut_short", [b"F", b"F\x01\x02", b"C", b"R" + bytes(10), b"xyz"])
-def test_what_was_cut_short_is_forgotten(
-    built: Built, cut_short: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_cut_short_is_forgotten(built, cut_short, monkeypatch):
     monkeypatch.setattr(ecus, "QUIET_S", 0.5)  # the board is a program on a busy machine
     with board(built("float64") / "bench") as port:
         link = SerialLink(port)
@@ -453,7 +444,7 @@ def test_what_was_cut_short_is_forgotten(
         ecu.close()
 
 
-def test_another_controller_is_refused(built: Built) -> None:
+def test_another_controller_is_refused(built):
     with (
         board(built("float64") / "bench") as port,
         pytest.raises(ExportError, match="another controller answers"),
@@ -461,13 +452,13 @@ def test_another_controller_is_refused(built: Built) -> None:
         serial_ecu(port, identity(application(load("default", []))), "default")
 
 
-def test_a_board_that_is_silent_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_board_that_is_silent_is_one_line(monkeypatch):
     monkeypatch.setattr(ecus, "SILENCE_S", 0.05)
     with board("sleep", "60") as port, pytest.raises(ExportError, match=f"{port}: 0 of 8 bytes"):
         serial_ecu(port, bytes(8), "default")
 
 
-def test_an_answer_that_is_none_is_one_line() -> None:
+def test_an_answer_that_is_none_is_one_line():
     asked_for = (
         f"head -c {ORDER_HEAD + FRAME_BYTES + 1} > /dev/null"  # what clears the line, and an order
     )
@@ -477,7 +468,7 @@ def test_an_answer_that_is_none_is_one_line() -> None:
             ecu.take(0x100, bytes(8))
 
 
-def test_a_port_that_is_none_is_one_line(tmp_path: Path) -> None:
+def test_a_port_that_is_none_is_one_line(tmp_path):
     (line,) = refused(
         tmp_path, "--in-process", "--controller", f"{SERIAL}{tmp_path}/none"
     ).splitlines()
@@ -496,7 +487,7 @@ FIRST, SECOND = (
     [(FIRST + SECOND, 5), (SECOND, 0), (SECOND + FIRST, 0), (FIRST + SECOND + SECOND, 0)],
     ids=["whole", "left out", "swapped", "repeated"],
 )
-def test_only_a_tick_with_all_its_stages_in_order_is_alive(flow: str, counted: int) -> None:
+def test_only_a_tick_with_all_its_stages_in_order_is_alive(flow, counted):
     node = application(load("default", ["duration_s=1"]))
     assert FIRST + SECOND in node["ecu.c"]
     node |= {"driver.c": DRIVER, "ecu.c": node["ecu.c"].replace(FIRST + SECOND, flow)}

@@ -1,7 +1,5 @@
 """The frames in C against the rig's own, which use autosar-e2e."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from functools import cache
@@ -55,7 +53,7 @@ class ProtectorInC(ctypes.Structure):
 
 
 @given(data_id=st.integers(1, 0xFFFF), payloads=st.lists(st.binary(min_size=8, max_size=8)))
-def test_protected_frames_are_those_of_the_library(data_id: int, payloads: list[bytes]) -> None:
+def test_protected_frames_are_those_of_the_library(data_id, payloads):
     ours, protector = Protector(data_id), ProtectorInC()
     c().e2e_protector_init(ctypes.byref(protector), data_id)
     for payload in payloads:
@@ -75,7 +73,7 @@ EVENTS = st.one_of(
 
 
 @given(st.lists(EVENTS, max_size=60))
-def test_frames_are_judged_as_by_the_rig(events: list[tuple[str, int]]) -> None:
+def test_frames_are_judged_as_by_the_rig(events):
     ours, checker, counter = Checker(0x123), CheckerInC(), 0
     c().e2e_checker_init(ctypes.byref(checker), 0x123, 8)
     for what, number in events:
@@ -121,13 +119,13 @@ def packed(
                     st.integers(-(2**32), 2**32).map(lambda n: n * 0.5e-8)),
     tick=st.integers(0, 0xFFFF),
 )  # fmt: skip
-def test_values_are_packed_as_by_the_rig(at: int, value: float, tick: int) -> None:
+def test_values_are_packed_as_by_the_rig(at, value, tick):
     found, expected = packed(value, tick, at)
     assert found == expected
 
 
 @SENT_FRAMES
-def test_the_ends_of_a_range_are_packed_as_by_the_rig(at: int) -> None:
+def test_the_ends_of_a_range_are_packed_as_by_the_rig(at):
     codec = [*NETWORK][at]
     for end in (codec.minimum, codec.maximum, 0.0, math.nan):
         for value in (end, math.nextafter(end, math.inf), math.nextafter(end, -math.inf)):
@@ -144,14 +142,14 @@ def test_the_ends_of_a_range_are_packed_as_by_the_rig(at: int) -> None:
         st.integers(-(2**31), 2**31).map(lambda n: float(np.float32(n * 1e-8))),
     )
 )
-def test_single_precision_is_packed_without_double_as_by_the_rig(at: int, value: float) -> None:
+def test_single_precision_is_packed_without_double_as_by_the_rig(at, value):
     found, expected = packed(value, 7, at, "float32")
     assert found == expected
 
 
 @pytest.mark.parametrize("at", [0, 1])
 @given(data=st.binary(min_size=8, max_size=8))
-def test_bytes_are_read_as_by_the_rig(at: int, data: bytes) -> None:
+def test_bytes_are_read_as_by_the_rig(at, data):
     expected, tick = [*NETWORK][at].decode(data), ctypes.c_uint32()
     found = frames().unpack(at, data, ctypes.byref(tick))
     assert tick.value == expected.tick

@@ -3,12 +3,9 @@
 Costs on emulated boards are compared with something known.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -62,14 +59,14 @@ def needs(tool: str) -> pytest.MarkDecorator:
 # --- findings ------------------------------------------------------------------------------------
 
 
-def test_findings_are_found() -> None:
+def test_findings_are_found():
     assert {*findings(few_files()).values()} <= {0, None}
     wrong = {"wrong.c": "int f(void); int f(void) { int unused; return 0; }\n"}
     assert findings(wrong)["gcc"] == 1
 
 
 @needs("cppcheck")
-def test_misra_rules_that_are_broken_have_a_reason() -> None:
+def test_misra_rules_that_are_broken_have_a_reason():
     """In files of several kinds: the report looks at all of them."""
     chosen = ("e2e.c", "ecu.c", "frames.c", "constants.c", "biquad.c")
     files = exported(load("cluster"))  # with further sensors
@@ -85,7 +82,7 @@ def test_misra_rules_that_are_broken_have_a_reason() -> None:
 
 
 @needs("frama-c")
-def test_eva_finds_what_may_go_wrong() -> None:
+def test_eva_finds_what_may_go_wrong():
     start = "int main(int c, char **v) { int a[3] = {1, 2, 3}; (void)v; "
     assert alarms({"right.c": start + "return a[(unsigned)c % 3]; }\n"}) == []
     found = alarms({"wrong.c": start + "return a[c] / (c - 1); }\n"})
@@ -94,7 +91,7 @@ def test_eva_finds_what_may_go_wrong() -> None:
 
 
 @needs("gcov")
-def test_the_trials_run_nearly_all_of_it() -> None:
+def test_the_trials_run_nearly_all_of_it():
     """Also what blends; conditions and lines are those of the exported files."""
     found, files = coverage(DRIVE), exported(DRIVE)
     assert found.different == 0
@@ -141,9 +138,7 @@ RECORD = {
     ],
     ids=lambda each: " ".join(each) if isinstance(each, list) else "",
 )
-def test_what_a_missing_tool_would_measure_is_named(
-    missing: list[str], lost: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_missing_tool_would_measure_is_named(missing, lost, tmp_path, monkeypatch):
     """The rest is on the page, whatever else this machine lacks."""
     monkeypatch.setattr(shutil, "which", lambda name: None if name in missing else f"/bin/{name}")
     monkeypatch.setattr(evidence, "_version", lambda tool: None if tool in missing else "1.0")
@@ -171,7 +166,7 @@ def test_what_a_missing_tool_would_measure_is_named(
     assert shown.count("✗") == 0
 
 
-def test_what_does_not_hold_is_seen_at_once() -> None:
+def test_what_does_not_hold_is_seen_at_once():
     record = {
         "controller": {"scenario": "a<b"}, "tools": dict.fromkeys(("cppcheck", "gcc"), "1.0"),
         "trials": asdict(Coverage(1300, 2, 200, 150, 40, 30, 29, (), ())), "memory": None,
@@ -187,7 +182,7 @@ def test_what_does_not_hold_is_seen_at_once() -> None:
     assert "a&lt;b" in shown
 
 
-def test_an_export_without_evidence_removes_older_evidence(tmp_path: Path) -> None:
+def test_an_export_without_evidence_removes_older_evidence(tmp_path):
     files = {HEADER: "", "crc.c": ""}
     write(files | {"evidence.json": "{}", "evidence.html": ""}, tmp_path / "out", force=False)
     write(files, tmp_path / "out", force=True)
@@ -198,7 +193,7 @@ def test_an_export_without_evidence_removes_older_evidence(tmp_path: Path) -> No
 
 
 @EMULATED
-def test_costs_are_of_the_law() -> None:
+def test_costs_are_of_the_law():
     found = sizes(law_of(application(SCENARIO)), "m4f")
     assert 4000 < found.code_bytes < 40_000
     assert 50 < found.stack_bytes < 4000
@@ -207,7 +202,7 @@ def test_costs_are_of_the_law() -> None:
 
 
 @EMULATED
-def test_two_counters_count_the_same() -> None:
+def test_two_counters_count_the_same():
     """The board's timer counts ticks, a plugin of the emulator the instructions of each file."""
     node, inputs = application(SCENARIO), controller_inputs(SCENARIO)
     law = law_of(node)
@@ -228,7 +223,7 @@ def test_two_counters_count_the_same() -> None:
 
 
 @EMULATED
-def test_the_worst_run_of_a_campaign_is_named() -> None:
+def test_the_worst_run_of_a_campaign_is_named():
     """Of three runs the one with a fault in its middle; the same numbers as when counted alone."""
     node, network = application(SCENARIO), network_of(SCENARIO)
     quiet = controller_inputs(SCENARIO)
@@ -244,7 +239,7 @@ def test_the_worst_run_of_a_campaign_is_named() -> None:
     assert (found["runs"], steps) == (3, [(1, 3), (2, 3), (3, 3)])
 
 
-def test_a_campaign_must_have_the_exported_controller(tmp_path: Path) -> None:
+def test_a_campaign_must_have_the_exported_controller(tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text('runs = 3\n[axes]\n"model.mass_kg" = { share = 0.1 }\n', encoding="utf-8")
     command = ["export", "default", "--evidence", "--campaign", str(file), "--out"]
@@ -257,7 +252,7 @@ def test_a_campaign_must_have_the_exported_controller(tmp_path: Path) -> None:
 
 
 @EMULATED
-def test_costs_of_a_drive_are_of_its_designs_and_of_its_speed() -> None:
+def test_costs_of_a_drive_are_of_its_designs_and_of_its_speed():
     """It keeps the table in memory, and a tick with another speed blends it."""
     assert controller_inputs(SCENARIO).shape == (50, 2)
     inputs = controller_inputs(DRIVE)
@@ -274,7 +269,7 @@ def test_costs_of_a_drive_are_of_its_designs_and_of_its_speed() -> None:
 
 
 @EMULATED
-def test_the_stack_is_that_of_the_deepest_way_through_either() -> None:
+def test_the_stack_is_that_of_the_deepest_way_through_either():
     of_law = law_of(application(DRIVE))
     large = "    volatile real large[{n}];\n    large[0] = share;\n    const int32_t n = "
     changed = of_law["schedule.c"].replace("    const int32_t n = ", large.format(n=2000))
@@ -296,7 +291,7 @@ struct firmware_answer firmware_step(struct {memory} *m, real r, real y)
 
 @EMULATED
 @pytest.mark.parametrize("drives", [False, True])
-def test_counts_are_exact_to_two_instructions(drives: bool) -> None:
+def test_counts_are_exact_to_two_instructions(drives):
     """A loop of two instructions takes 2 n for n turns, in a step and in a change of the speed."""
     scenario, memory = (DRIVE, "firmware_memory") if drives else (SCENARIO, "layout_state")
     files = {name: text for name, text in exported(scenario).items() if name.endswith(".h")}

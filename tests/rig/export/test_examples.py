@@ -3,8 +3,6 @@
 On emulated boards, and on this computer as a user of CMake and of a Zephyr module builds them.
 """
 
-from __future__ import annotations
-
 import math
 import shutil
 import struct
@@ -80,7 +78,7 @@ def inputs_of(example: str) -> bytes:
 
 @EMULATED
 @pytest.mark.parametrize("example", SOURCES)
-def test_on_a_board_it_answers_as_in_python(example: str) -> None:
+def test_on_a_board_it_answers_as_in_python(example):
     main, *others = SOURCES[example]
     files = {name: (EXAMPLES / name).read_text(encoding="utf-8") for name in (main, *others)}
     image = image_of(application(SCENARIO) | files, None, BOARD[example])
@@ -92,7 +90,7 @@ def test_on_a_board_it_answers_as_in_python(example: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def installed(tmp_path_factory):
     """An export that ``cmake --install`` has put into a folder of its own."""
     if shutil.which("cmake") is None:
         pytest.skip("cmake is not installed")
@@ -105,7 +103,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def test_find_package_finds_an_installed_export(installed: Path, tmp_path: Path) -> None:
+def test_find_package_finds_an_installed_export(installed, tmp_path):
     """The installed package needs no file of the folder of the export."""
     (installed / "controller").rename(installed / "moved")
     run("cmake", "-S", EXAMPLES, "-B", tmp_path, f"-DCMAKE_PREFIX_PATH={installed / 'opt'}",
@@ -137,7 +135,7 @@ add_subdirectory(MODULE/zephyr module)
 """A build system with the three functions of Zephyr's that the module calls, as documented."""
 
 
-def test_the_zephyr_module_has_all_sources_and_no_program(installed: Path, tmp_path: Path) -> None:
+def test_the_zephyr_module_has_all_sources_and_no_program(installed, tmp_path):
     controller = installed / "controller"
     shutil.copytree(EXAMPLES / "zephyr", controller / "zephyr", dirs_exist_ok=True)
     said = (controller / "zephyr" / "module.yml").read_text(encoding="utf-8")

@@ -1,12 +1,9 @@
 """One filter as C: the lines of the exported law, and every bit of ``Filter``."""
 
-from __future__ import annotations
-
 import ctypes
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,7 +44,7 @@ def in_one_library(filters: list[Filter]) -> ctypes.CDLL:
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_every_answer_and_every_state_is_the_same(precision: Precision) -> None:
+def test_every_answer_and_every_state_is_the_same(precision):
     filters, random = random_filters(precision), np.random.default_rng(1)
     library = in_one_library(filters)
     real = ctypes.c_float if precision == "float32" else ctypes.c_double
@@ -68,7 +65,7 @@ def test_every_answer_and_every_state_is_the_same(precision: Precision) -> None:
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_the_loops_are_those_of_the_exported_law(precision: Precision) -> None:
+def test_the_loops_are_those_of_the_exported_law(precision):
     def loops(text: str) -> list[str]:
         return re.findall(r"    for \(.*?\n    }\n", text, flags=re.S)
 
@@ -80,7 +77,7 @@ def test_the_loops_are_those_of_the_exported_law(precision: Precision) -> None:
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_no_compiler_warns(compiler: str, precision: Precision, tmp_path: Path) -> None:
+def test_no_compiler_warns(compiler, precision, tmp_path):
     if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")
     prewarped = discretise(([1.0], [1.0, 30.0, 900.0]), 2e-3, prewarp_rad_per_s=30.0)

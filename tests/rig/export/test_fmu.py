@@ -1,7 +1,5 @@
 """The exported FMUs: in FMPy, in the rig bit for bit, and built again from their own sources."""
 
-from __future__ import annotations
-
 import runpy
 import struct
 import zipfile
@@ -125,7 +123,7 @@ def with_floats(folder: Path) -> Scenario:
 
 
 @pytest.mark.parametrize("case", [*LOOPS, "floats"])
-def test_both_in_a_loop_are_the_rig_bit_for_bit(case: str, tmp_path: Path) -> None:
+def test_both_in_a_loop_are_the_rig_bit_for_bit(case, tmp_path):
     ours = with_floats(tmp_path) if case == "floats" else can_rig.load_scenario(*LOOPS[case])
     written(ours, tmp_path)
     network = network_of(ours)
@@ -146,7 +144,7 @@ def test_both_in_a_loop_are_the_rig_bit_for_bit(case: str, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_rig_runs_the_controller_bit_for_bit(case: str, tmp_path: Path) -> None:
+def test_the_rig_runs_the_controller_bit_for_bit(case, tmp_path):
     ours = can_rig.load_scenario(*CASES[case])
     _, path = write_fmus(controller_model(ours), tmp_path, force=False)
     model = fmpy.read_model_description(str(path))
@@ -159,7 +157,7 @@ def test_the_rig_runs_the_controller_bit_for_bit(case: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("version", [0, 1])
-def test_the_rig_drives_both_bit_for_bit(version: int, tmp_path: Path) -> None:
+def test_the_rig_drives_both_bit_for_bit(version, tmp_path):
     """The lags are the FMU's; latency, faults and noise are the rig's."""
     ours = can_rig.load_scenario("default", SHORT)
     car = car_model(ours)
@@ -182,7 +180,7 @@ def test_the_rig_drives_both_bit_for_bit(version: int, tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def cluster(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fmus")
     ours = can_rig.load_scenario("cluster", LONGER)
     written(ours, folder)
@@ -190,7 +188,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_what_a_sensor_says_moves_the_decision(cluster: Path) -> None:
+def test_what_a_sensor_says_moves_the_decision(cluster):
     """Without the echoes the loss is found later: the inputs are used."""
     part = EXAMPLE["Part"]
     first = {"reference": 0.0}
@@ -203,7 +201,7 @@ def test_what_a_sensor_says_moves_the_decision(cluster: Path) -> None:
     assert any(heard != not_heard for heard, not_heard in found)
 
 
-def test_a_sample_comes_on_time_and_once(cluster: Path) -> None:
+def test_a_sample_comes_on_time_and_once(cluster):
     """Every 10 ms from the phase of the scenario on, in steps of one tick and of five."""
     ages = {1: [], 5: []}  # type: dict[int, list[float]]
     for ticks, found in ages.items():
@@ -221,7 +219,7 @@ def test_a_sample_comes_on_time_and_once(cluster: Path) -> None:
     assert {each["torque_echo_nm_age_ticks"] for each in said} == {-1.0}
 
 
-def test_a_car_without_commands_holds_them_and_then_lets_go(tmp_path: Path) -> None:
+def test_a_car_without_commands_holds_them_and_then_lets_go(tmp_path):
     ours = can_rig.load_scenario("default", {"actuator.hold_s": 0.003})
     written(ours, tmp_path)
     held, silent = (EXAMPLE["Part"](tmp_path / "fmi3" / "car_default.fmu", {}) for _ in range(2))
@@ -300,7 +298,7 @@ def transmit(frame: can.Message) -> bytes:
 
 
 @pytest.mark.parametrize("name", ["cluster", "drive-cycle", "floats"])
-def test_the_node_on_a_bus_sends_the_frames_of_the_rig(name: str, tmp_path: Path) -> None:
+def test_the_node_on_a_bus_sends_the_frames_of_the_rig(name, tmp_path):
     ours = with_floats(tmp_path) if name == "floats" else can_rig.load_scenario(name, LONGER)
     (path,) = write_fmus(node_model(ours), tmp_path, force=False)
     assert validate_fmu(str(path)) == []
@@ -330,9 +328,7 @@ def test_the_node_on_a_bus_sends_the_frames_of_the_rig(name: str, tmp_path: Path
     assert len(node.event()) == len(b"".join(ticks[0][1]))
 
 
-def test_the_node_answers_an_operation_that_it_does_not_understand(
-    cluster: Path, tmp_path: Path
-) -> None:
+def test_the_node_answers_an_operation_that_it_does_not_understand(cluster, tmp_path):
     node = OnTheBus(cluster / "fmi3" / "node_cluster.fmu", tmp_path)
     node.event()
     confirm = struct.pack("<III", 0x20, 12, 0x100)
@@ -368,7 +364,7 @@ def test_the_node_answers_an_operation_that_it_does_not_understand(
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def exported(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fmu")
     _, path = write_fmus(controller_model(can_rig.load_scenario("default")), folder, force=False)
     return path
@@ -386,7 +382,7 @@ def started(fmu: Any) -> Any:
     return fmu
 
 
-def test_a_step_of_several_ticks_holds_the_inputs(exported: Path, tmp_path: Path) -> None:
+def test_a_step_of_several_ticks_holds_the_inputs(exported, tmp_path):
     scenario = can_rig.load_scenario("default")
     one, many = (started(instance_of(exported, tmp_path / name)) for name in ("one", "many"))
     firmware = Firmware(controller_table(scenario, network_of(scenario)))
@@ -411,9 +407,7 @@ def test_a_step_of_several_ticks_holds_the_inputs(exported: Path, tmp_path: Path
 @pytest.mark.parametrize(
     "file", ["fmi3/car_cluster.fmu", "fmi2/controller_cluster.fmu", "fmi3/node_cluster.fmu"]
 )
-def test_the_sources_within_build_without_a_warning(
-    file: str, cluster: Path, tmp_path: Path
-) -> None:
+def test_the_sources_within_build_without_a_warning(file, cluster, tmp_path):
     fmpy.extract(str(cluster / file), str(tmp_path))
     name = "buildDescription.xml" if "fmi3" in file else "../modelDescription.xml"
     build = Xml.parse(tmp_path / "sources" / name).getroot()
@@ -424,7 +418,7 @@ def test_the_sources_within_build_without_a_warning(
     assert ("fmi2.c" in units) == ("node" not in file)
 
 
-def test_the_same_controller_is_the_same_file(exported: Path, tmp_path: Path) -> None:
+def test_the_same_controller_is_the_same_file(exported, tmp_path):
     again = controller_model(can_rig.load_scenario("default"))
     _, path = write_fmus(again, tmp_path / "new" / "folder", force=False)
     assert path.read_bytes() == exported.read_bytes()
@@ -433,7 +427,7 @@ def test_the_same_controller_is_the_same_file(exported: Path, tmp_path: Path) ->
     assert 'unit="N m"' in text
 
 
-def test_it_is_refused_in_one_line(exported: Path, tmp_path: Path) -> None:
+def test_it_is_refused_in_one_line(exported, tmp_path):
     model = controller_model(can_rig.load_scenario("default"))
     folder = exported.parents[1]
     with pytest.raises(LogError, match="exists; choose another"):

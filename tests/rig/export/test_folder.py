@@ -1,12 +1,9 @@
 """The exported folder: its content, its build without a warning, and its answers."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,12 +19,11 @@ from can_rig.export.trials import random_table
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
 from firmware_model.firmware import Firmware
-from firmware_model.law.structs import Precision
-from tests.rig.export.conftest import SCENARIOS, Built
+from tests.rig.export.conftest import SCENARIOS
 from tests.rig.export.shared import PRECISIONS, STRICT, run
 
 
-def test_clang_does_not_warn(folder: Path) -> None:
+def test_clang_does_not_warn(folder):
     """The fixture ``built`` compiles with gcc, where every warning is an error."""
     if shutil.which("clang") is None:
         pytest.skip("clang is not installed")
@@ -37,7 +33,7 @@ def test_clang_does_not_warn(folder: Path) -> None:
     run("clang", *STRICT, "-fsyntax-only", folder / "main.c")
 
 
-def test_cppcheck_finds_nothing(folder: Path) -> None:
+def test_cppcheck_finds_nothing(folder):
     if shutil.which("cppcheck") is None:
         pytest.skip("cppcheck is not installed")
     run("cppcheck", "--quiet", "--std=c99", "--enable=warning,performance,portability",
@@ -54,7 +50,7 @@ def firmware_of(kind: str) -> Firmware:
 
 
 @pytest.mark.parametrize("kind", SCENARIOS)
-def test_the_example_answers_as_the_firmware_does(kind: str, built: Built) -> None:
+def test_the_example_answers_as_the_firmware_does(kind, built):
     """Through all designs and past them; a value that is missing too."""
     random = np.random.default_rng(3)
     inputs = [[math.sin(k / 30), random.standard_normal() / 10] for k in range(200)]
@@ -74,14 +70,14 @@ def test_the_example_answers_as_the_firmware_does(kind: str, built: Built) -> No
         assert tuple(map(float, line.split())) == tuple(map(float, expected))
 
 
-def test_the_example_of_a_drive_wants_the_speed(built: Built) -> None:
+def test_the_example_of_a_drive_wants_the_speed(built):
     program = [built("drive") / "example"]
     done = subprocess.run(program, input="0 0\n", capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "3 numbers: reference, measurement and speed" in done.stderr
 
 
-def test_nothing_is_allocated_and_little_is_called(folder: Path) -> None:
+def test_nothing_is_allocated_and_little_is_called(folder):
     """Of the C library: exact functions, and what fills memory."""
     symbols = run("nm", "--undefined-only", folder / "libfirmware.a").split()
     defined = run("nm", "--defined-only", folder / "libfirmware.a").split()
@@ -92,7 +88,7 @@ def test_nothing_is_allocated_and_little_is_called(folder: Path) -> None:
     assert outside - theirs <= allowed
 
 
-def test_it_reads_as_if_written_by_hand(folder: Path) -> None:
+def test_it_reads_as_if_written_by_hand(folder):
     for path in folder.glob("*.[ch]"):
         text = path.read_text(encoding="utf-8")
         assert max(map(len, text.splitlines())) <= WIDTH + 4, path
@@ -102,7 +98,7 @@ def test_it_reads_as_if_written_by_hand(folder: Path) -> None:
     assert "real accumulators[8][2]; /* [output] s1, s2, a row a section */" in biquad
 
 
-def test_single_precision_has_no_double(built: Built) -> None:
+def test_single_precision_has_no_double(built):
     for path in built("float32").glob("*.[ch]"):
         code = re.sub(r"/\*.*?\*/", "", path.read_text(encoding="utf-8"), flags=re.S)
         if path.stem not in ("main", "frames", "network", "ecu"):  # the law has none
@@ -121,7 +117,7 @@ int main(void)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_every_constant_is_exact(precision: Precision) -> None:
+def test_every_constant_is_exact(precision):
     """Tables of any numbers, infinite and subnormal ones too, come back from C bit for bit."""
     headers = {name: text for name, text in law_files(precision).items() if name.endswith(".h")}
     for seed in range(4):
@@ -134,7 +130,7 @@ def test_every_constant_is_exact(precision: Precision) -> None:
         assert np.array_equal(got.view(real), table.view(real), equal_nan=True)
 
 
-def test_the_header_says_units_ranges_and_timing() -> None:
+def test_the_header_says_units_ranges_and_timing():
     header = exported(load("default", []))[HEADER]
     assert "{" not in re.sub(r'(struct firmware_answer|extern "C") \{', "", header)
     for said in (
@@ -146,7 +142,7 @@ def test_the_header_says_units_ranges_and_timing() -> None:
     assert header.isascii()
 
 
-def test_the_header_has_the_names_and_units_of_the_plant() -> None:
+def test_the_header_has_the_names_and_units_of_the_plant():
     header = exported(load("pendulum", ["plant.input_2.name='thrust */ {tick}'"]))[HEADER]
     for said in (
         "[N m] torque (Input1), -20..20, ",
@@ -157,7 +153,7 @@ def test_the_header_has_the_names_and_units_of_the_plant() -> None:
         assert said in header
 
 
-def test_a_program_in_cpp_links_it(folder: Path, tmp_path: Path) -> None:
+def test_a_program_in_cpp_links_it(folder, tmp_path):
     compiler = shutil.which("c++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("no C++ compiler is installed")
@@ -172,7 +168,7 @@ def test_a_program_in_cpp_links_it(folder: Path, tmp_path: Path) -> None:
     run(app)
 
 
-def test_force_writes_over_an_export_and_keeps_what_else_is_there(tmp_path: Path) -> None:
+def test_force_writes_over_an_export_and_keeps_what_else_is_there(tmp_path):
     made = tmp_path / "ecu"
     made.mkdir()  # an empty folder is as good as none
     write({HEADER: "old", "law.c": "old"}, made, force=False)

@@ -1,8 +1,5 @@
 """The translator and numba infer the same type for every name of every function of the law."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from typing import Any
 
 import numba
@@ -16,7 +13,7 @@ from numba.core.typed_passes import NopythonTypeInference
 
 from can_rig.export.law import law_program, speed_program
 from can_rig.export.source import BOOL, REAL, Answers, Array, Record, Scalar, Type
-from can_rig.export.subset import Program, Typed
+from can_rig.export.subset import Typed
 from firmware_model.law.structs import Precision, record_type
 
 
@@ -92,7 +89,7 @@ def inferred_types(typed: Typed, precision: Precision) -> tuple[dict[str, Any], 
 
 @pytest.mark.long
 @pytest.mark.parametrize("program", [law_program, speed_program])
-def test_types_are_those_of_numba(program: Callable[[], Program]) -> None:
+def test_types_are_those_of_numba(program):
     """In single precision, where a number that numba takes for double shows."""
     functions, wrong = program().functions, {}
     for name, typed in functions.items():

@@ -1,11 +1,8 @@
 """Two exports in one program: every external name has its prefix, and each answers as if alone."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -78,7 +75,7 @@ int main(int argc, char **argv)
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def place(tmp_path_factory):
     """Both exports with a prefix, and as ``alone-PREFIX`` without; built without a warning."""
     folder = tmp_path_factory.mktemp("two")
     for prefix, scenario in EXPORTS.items():
@@ -86,12 +83,12 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
             out = folder / name
             done = CliRunner().invoke(main, ["export", *scenario, *options, "--out", str(out)])
             assert done.exit_code == 0, done.output
-            flags = f"CFLAGS={' '.join(STRICT)} -O1"
+            flags = f"CFLAGS={' '.join(STRICT)} -O0"
             run("make", "-s", "-C", out, flags, "example", *(["bench", "check"] if options else []))
     return folder
 
 
-def test_both_run_side_by_side_as_each_does_alone(place: Path) -> None:
+def test_both_run_side_by_side_as_each_does_alone(place):
     """Their headers in one file, and two nodes of one export."""
     (place / "both.c").write_text(BOTH, encoding="utf-8")
     libraries = [place / prefix / f"lib{prefix}_firmware.a" for prefix in EXPORTS]
@@ -118,8 +115,8 @@ def test_both_run_side_by_side_as_each_does_alone(place: Path) -> None:
 
 @pytest.mark.parametrize("prefix", EXPORTS)
 def test_every_external_name_has_the_prefix_and_none_is_of_something_that_changes(
-    prefix: str, place: Path, tmp_path: Path
-) -> None:
+    prefix, place, tmp_path
+):
     sources = [each for each in (place / prefix).glob("*.c") if "main" not in each.name]
     run("gcc", "-std=c99", "-fno-pie", "-c", *sources, cwd=tmp_path)  # constants with addresses too
     objects = [*tmp_path.glob("*.o")]
@@ -135,7 +132,7 @@ def test_every_external_name_has_the_prefix_and_none_is_of_something_that_change
 
 
 @pytest.mark.parametrize("prefix", EXPORTS)
-def test_nothing_else_changes(prefix: str, place: Path) -> None:
+def test_nothing_else_changes(prefix, place):
     """Without the prefix in it, each file is that of the export without."""
     for path in (place / f"alone-{prefix}").iterdir():
         if path.suffix in (".c", ".h", ".toml") or path.name in ("Makefile", "CMakeLists.txt"):
@@ -144,7 +141,7 @@ def test_nothing_else_changes(prefix: str, place: Path) -> None:
             assert bare == path.read_text(encoding="utf-8"), path
 
 
-def test_cmake_takes_both_into_one_project(place: Path, tmp_path: Path) -> None:
+def test_cmake_takes_both_into_one_project(place, tmp_path):
     if shutil.which("cmake") is None:
         pytest.skip("cmake is not installed")
     (tmp_path / "both.c").write_text(BOTH, encoding="utf-8")
@@ -162,7 +159,7 @@ def test_cmake_takes_both_into_one_project(place: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("prefix", ["", "2nd", "Front", "a-b", "a b"])
-def test_another_prefix_is_refused(prefix: str, tmp_path: Path) -> None:
+def test_another_prefix_is_refused(prefix, tmp_path):
     command = ["export", "default", "--prefix", prefix, "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(main, command)
     assert done.exit_code == 2

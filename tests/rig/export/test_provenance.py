@@ -1,7 +1,5 @@
 """What an export says of its origin, each claim followed up."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from importlib.metadata import version
@@ -15,7 +13,6 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.export.application import application, exported, identity
 from can_rig.export.provenance import MANIFEST
-from tests.rig.export.conftest import Built
 from tests.rig.export.shared import run
 
 PROJECT = Path(firmware_model.__file__).parents[1]
@@ -27,7 +24,7 @@ WRITTEN = {
 
 
 @pytest.mark.parametrize("name", WRITTEN)
-def test_the_scenario_in_the_folder_gives_the_folder_again(name: str, tmp_path: Path) -> None:
+def test_the_scenario_in_the_folder_gives_the_folder_again(name, tmp_path):
     """Also where the scenario reads a drive from a file."""
     settings = [part for each in WRITTEN[name] for part in ("--set", each)]
     first, again = tmp_path / "first", tmp_path / "again"
@@ -40,7 +37,7 @@ def test_the_scenario_in_the_folder_gives_the_folder_again(name: str, tmp_path: 
     assert str(PROJECT) not in "".join(each.read_text("utf-8") for each in first.iterdir())
 
 
-def test_the_manifest_lists_every_file(built: Built, tmp_path: Path) -> None:
+def test_the_manifest_lists_every_file(built, tmp_path):
     files = exported(load("default", []))
     for name, text in files.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
@@ -52,7 +49,7 @@ def test_the_manifest_lists_every_file(built: Built, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["float32", "drive"])
-def test_each_file_and_each_function_name_their_origin(kind: str, built: Built) -> None:
+def test_each_file_and_each_function_name_their_origin(kind, built):
     folder = built(kind)
     (scenario,) = folder.glob("*.toml")
     of_scenario = hashlib.sha256(scenario.read_bytes()).hexdigest()
@@ -95,7 +92,7 @@ def test_each_file_and_each_function_name_their_origin(kind: str, built: Built) 
     assert functions > 100
 
 
-def test_comments_are_no_part_of_a_controllers_identity() -> None:
+def test_comments_are_no_part_of_a_controllers_identity():
     """A moved line of Python makes no other controller; another number does."""
     node = application(load("default", []))
     moved = {name: re.sub(r", line \d+ ", ", line 1 ", text) for name, text in node.items()}

@@ -1,7 +1,5 @@
 """The known-answer test of an export: right programs pass; wrong arithmetic or constants do not."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import re
@@ -28,7 +26,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
-from tests.rig.export.conftest import SCENARIOS, Built
+from tests.rig.export.conftest import SCENARIOS
 from tests.rig.export.shared import EMULATED, run
 
 OPTIONS = (
@@ -82,9 +80,7 @@ def answers(
 @pytest.mark.parametrize(
     ("processor", "options"), [("powerpc", "-std=gnu17 -O3"), ("riscv64", "-std=c99 -O2")]
 )
-def test_another_processor_computes_the_same(
-    processor: str, options: str, built: Built, tmp_path: Path
-) -> None:
+def test_another_processor_computes_the_same(processor, options, built, tmp_path):
     """One with the high byte first, and both with fused instructions."""
     compiler = f"{processor}-linux-gnu-gcc"
     emulator = f"qemu-{processor.replace('powerpc', 'ppc')}"
@@ -98,9 +94,7 @@ def test_another_processor_computes_the_same(
 
 @pytest.mark.long
 @pytest.mark.parametrize(("compiler", "precision"), [("gcc", "float64"), ("clang", "float32")])
-def test_no_compiler_and_no_option_differs_silently(
-    compiler: str, precision: str, built: Built, tmp_path: Path
-) -> None:
+def test_no_compiler_and_no_option_differs_silently(compiler, precision, built, tmp_path):
     if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")
     folder = built(precision)
@@ -122,9 +116,7 @@ FUSED = ("-std=gnu11", "-O2", "-mthumb", "-mfloat-abi=hard", "-fno-math-errno")
 
 @EMULATED
 @pytest.mark.parametrize("rounds", [True, False])
-def test_a_board_with_fused_operations_is_kept_from_them_or_refused(
-    rounds: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_board_with_fused_operations_is_kept_from_them_or_refused(rounds, monkeypatch):
     """gcc fuses for this board, outside -std=c99, unless ``rounding.h`` forbids."""
     monkeypatch.setattr(boards, "FLAGS", FUSED)
     node = application(load("default", ['design.precision="float32"']))
@@ -137,14 +129,14 @@ def test_a_board_with_fused_operations_is_kept_from_them_or_refused(
 
 
 @pytest.mark.parametrize("kind", ["float32", "float64", "drive"])
-def test_a_flipped_bit_of_any_constant_is_noticed(kind: str, built: Built) -> None:
+def test_a_flipped_bit_of_any_constant_is_noticed(kind, built):
     folder = built(kind)
     files = {path.name: path.read_text(encoding="utf-8") for path in folder.glob("*.[ch]")}
     for name in ("main.c", "check.c", "bench_main.c", "bench.c"):
         del files[name]
     for name in ("constants.c", "constants.h"):  # in memory that can be written
         files[name] = files[name].replace("const struct", "struct")
-    code = ctypes.CDLL(str(compiled(["cc"], ["-O2", "-fPIC", "-shared"], files, ".so")))
+    code = ctypes.CDLL(str(compiled(["cc"], ["-O1", "-fPIC", "-shared"], files, ".so")))
     code.self_test.restype = ctypes.c_bool
     memory = ctypes.create_string_buffer(1 << 16)
     assert code.self_test(memory)
@@ -164,7 +156,7 @@ def test_a_flipped_bit_of_any_constant_is_noticed(kind: str, built: Built) -> No
 
 
 @pytest.mark.parametrize("field", ["crc_of_constants", "fingerprint", "crc_of_answers"])
-def test_a_flipped_bit_of_what_the_test_compares_with_is_noticed(field: str, built: Built) -> None:
+def test_a_flipped_bit_of_what_the_test_compares_with_is_noticed(field, built):
     node = {path.name: path.read_text(encoding="utf-8") for path in built("float32").glob("*.[ch]")}
     for name in ("main.c", "bench_main.c", "bench.c", "harness.c", "ecu.c", "network.c"):
         del node[name]
@@ -184,13 +176,13 @@ SILENT = "void ecu_send(const struct ecu *e, uint32_t id, uint8_t n, const uint8
 def starts(node: dict[str, str], *options: str) -> tuple[ctypes.CDLL, Any]:
     """A node as a library, and its ``ecu_init``."""
     files = node | {"silent.c": '#include "ecu.h"\n' + SILENT}
-    code = ctypes.CDLL(str(compiled(["gcc"], ["-O2", "-fPIC", "-shared", *options], files, ".so")))
+    code = ctypes.CDLL(str(compiled(["gcc"], ["-O1", "-fPIC", "-shared", *options], files, ".so")))
     memory = ctypes.create_string_buffer(1 << 16)
     code.ecu_init.restype = ctypes.c_bool
     return code, lambda: code.ecu_init(memory)
 
 
-def test_a_flipped_bit_of_the_numbers_of_a_frame_is_noticed() -> None:
+def test_a_flipped_bit_of_the_numbers_of_a_frame_is_noticed():
     """Of a sensor's frame and of the table of the CRC too, which no answer of the law shows."""
     node = application(load("cluster", ['design.precision="float32"']))
     constant = re.compile(r"const (struct (?:ecu_sensor_)?frame (?:frame_|ecu_sensors))")
@@ -210,7 +202,7 @@ def test_a_flipped_bit_of_the_numbers_of_a_frame_is_noticed() -> None:
     assert not starts(wrong)[1]()
 
 
-def test_a_compiler_that_makes_double_literals_single_is_refused() -> None:
+def test_a_compiler_that_makes_double_literals_single_is_refused():
     """The law in single precision has none; a frame has."""
     node = application(load("default", ['design.precision="float32"']))
     assert starts(node)[1]()
@@ -232,7 +224,7 @@ def value_bytes(dtype: np.dtype[np.void]) -> list[int]:
     return [offset + at for kind, offset, *_ in dtype.fields.values() for at in value_bytes(kind)]
 
 
-def test_a_node_that_fails_stays_silent() -> None:
+def test_a_node_that_fails_stays_silent():
     """With one constant changed, whatever the node receives."""
     scenario = load("default", [])
     node = application(scenario)
@@ -242,16 +234,14 @@ def test_a_node_that_fails_stays_silent() -> None:
     whole = node | bench(node) | {"bench_main.c": support("bench_main.c")}
     for constants, is_fit in ((node["constants.c"], True), (changed, False)):
         files = whole | {"constants.c": constants}
-        said = on_host(compiled(["cc"], ["-std=c99", "-O2"], files, ".out"), orders)
+        said = on_host(compiled(["cc"], ["-std=c99", "-O1"], files, ".out"), orders)
         assert said[:8] == (identity(node) if is_fit else bytes(8))
         counts = 2 * 10 * 4
         assert any(said[8:-counts]) is is_fit
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_a_processor_without_subnormal_numbers_is_refused(
-    precision: str, built: Built, tmp_path: Path
-) -> None:
+def test_a_processor_without_subnormal_numbers_is_refused(precision, built, tmp_path):
     """gcc's start-up code says so where only the linker gets ``-ffast-math``."""
     folder = built(precision)
     run("make", "-s", "-C", folder, "CC=gcc", "check")
@@ -262,7 +252,7 @@ def test_a_processor_without_subnormal_numbers_is_refused(
         assert done.returncode == status
 
 
-def test_a_library_that_fails_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_that_fails_is_refused(monkeypatch):
     scenario = load("default", [])
     HostEcu(host_library(scenario)).close()
     node = application(scenario)
@@ -282,11 +272,11 @@ def test_a_library_that_fails_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.parametrize("kind", ["float32", "float64", "drive"])
-def test_make_runs_the_test(kind: str, built: Built) -> None:
+def test_make_runs_the_test(kind, built):
     assert "computes as in Python" in run("make", "-s", "-C", built(kind), "check")
 
 
-def test_a_law_that_hears_further_sensors_answers_their_samples_too() -> None:
+def test_a_law_that_hears_further_sensors_answers_their_samples_too():
     of = controls(load("cluster", []), network_of(load("cluster", [])))
     heard, deaf = (known_answers(of, 1.0, hears) for hears in (True, False))
     assert heard.crc != deaf.crc
@@ -294,7 +284,7 @@ def test_a_law_that_hears_further_sensors_answers_their_samples_too() -> None:
 
 
 @pytest.mark.parametrize("name", ["default", "pendulum", "drive-cycle", "wltc"])
-def test_the_stored_ticks_show_what_they_promise(name: str) -> None:
+def test_the_stored_ticks_show_what_they_promise(name):
     """No fault, a loss, missing inputs, limits reached; of an unstable plant too."""
     scenario = load(name, [])
     of = controls(scenario, network_of(scenario))

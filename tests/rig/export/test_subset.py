@@ -1,7 +1,5 @@
 """Lines of a test as a module of the target: in C, or refused with file, line and remedy."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import sys
@@ -105,7 +103,7 @@ Translate = Callable[[str], Path]
 
 
 @pytest.fixture
-def translate(tmp_path: Path) -> Translate:
+def translate(tmp_path):
     """Translates a function from its text, into a folder."""
     return lambda text: translated(text, tmp_path)
 
@@ -278,7 +276,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("line", REFUSED)
-def test_what_is_outside_is_refused(translate: Translate, line: str) -> None:
+def test_what_is_outside_is_refused(translate, line):
     text = f'@firmware\ndef f(state: State, x: float) -> None:\n    """Text."""\n    {line}\n'
     with pytest.raises(ExportError, match=re.escape(REFUSED[line])) as refused:
         translate(text)
@@ -311,9 +309,7 @@ OF_ITSELF = r"lines\.Other\.wrong: must not contain Other, which contains it"
         ('Annotated["Unknown", "1", "a"]', 2, r"name 'Unknown' is not defined"),
     ],
 )
-def test_a_field_that_is_declared_wrongly_is_refused(
-    translate: Translate, declaration: str, line: int, said: str
-) -> None:
+def test_a_field_that_is_declared_wrongly_is_refused(translate, declaration, line, said):
     text = f"""
         class Other(Struct):
             right: Annotated[float, "1", "a number"]
@@ -342,9 +338,7 @@ def test_a_field_that_is_declared_wrongly_is_refused(
          "returns an integer: must be a real number as before"),
     ],
 )  # fmt: skip
-def test_signatures_that_c_has_not_are_refused(
-    translate: Translate, signature: str, body: str, what: str
-) -> None:
+def test_signatures_that_c_has_not_are_refused(translate, signature, body, what):
     with pytest.raises(ExportError, match=re.escape(what)):
         translate(f"@firmware\ndef {signature}:\n    {body}\n")
 
@@ -381,7 +375,7 @@ def test_signatures_that_c_has_not_are_refused(
         "low = state.of_table < 4 and state.list[state.of_table] > x",
     ],
 )  # fmt: skip
-def test_what_is_inside_is_not(translate: Translate, line: str) -> None:
+def test_what_is_inside_is_not(translate, line):
     compile_in(translate(f"@firmware\ndef f(state: State, x: float) -> None:\n    {line}\n"))
 
 
@@ -467,11 +461,9 @@ BODIES = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(BODIES, st.lists(st.tuples(st.integers(0, 4), st.floats()), min_size=4, max_size=4))
-def test_what_is_translated_never_leaves_its_array(
-    body: list[str], runs: list[tuple[int, float]]
-) -> None:
+def test_what_is_translated_never_leaves_its_array(body, runs):
     """Whatever is accepted runs in Python, call after call, with every index in its array."""
     lines = ["    k = 0", "    m = state.n", *indented(body)]
     text = (
@@ -492,7 +484,7 @@ def test_what_is_translated_never_leaves_its_array(
         names["f"](state, x)
 
 
-def test_no_docstring_is_no_comment(translate: Translate) -> None:
+def test_no_docstring_is_no_comment(translate):
     folder = translate("@firmware\ndef f(state: State, x: float) -> None:\n    pass\n")
     assert (folder / "lines.h").read_text(encoding="utf-8").startswith("#ifndef LINES_H\n")
     assert "/* State */\nstruct lines_state {" in (folder / "lines.h").read_text(encoding="utf-8")
@@ -507,7 +499,7 @@ def test_no_docstring_is_no_comment(translate: Translate) -> None:
     ["sqrt", "fabs", "rint", "real", "real_min", "int_max", "float_", "NAN", "INFINITY", "memset",
      "int32_t", "bool", "DBL_MAX", "INT32_MAX", "_Bool", "asm", "i", "pair_2", "linux"],
 )  # fmt: skip
-def test_names_that_c_has_are_others_there(translate: Translate, name: str) -> None:
+def test_names_that_c_has_are_others_there(translate, name):
     text = f"""
         @firmware
         def double({name}: float) -> tuple[float, float]:
@@ -529,7 +521,7 @@ def test_names_that_c_has_are_others_there(translate: Translate, name: str) -> N
 
 @pytest.mark.parametrize("name", ["MANY", "lines_g", "LINES_H", "SHADE_DARK"])
 @pytest.mark.parametrize("where", ["parameter", "local"])
-def test_names_of_the_exported_c_are_refused(translate: Translate, name: str, where: str) -> None:
+def test_names_of_the_exported_c_are_refused(translate, name, where):
     parameter, local = (name, "y") if where == "parameter" else ("y", name)
     text = f"""
         from enum import IntEnum
@@ -552,7 +544,7 @@ def test_names_of_the_exported_c_are_refused(translate: Translate, name: str, wh
         translate(text)
 
 
-def test_members_that_a_number_would_replace_are_refused(translate: Translate) -> None:
+def test_members_that_a_number_would_replace_are_refused(translate):
     text = """
         a = 2
 
@@ -565,7 +557,7 @@ def test_members_that_a_number_would_replace_are_refused(translate: Translate) -
         translate(text)
 
 
-def test_a_name_for_several_answers_must_not_hide_a_function(translate: Translate) -> None:
+def test_a_name_for_several_answers_must_not_hide_a_function(translate):
     text = """
         @firmware
         def g(x: float) -> float:
@@ -584,7 +576,7 @@ def test_a_name_for_several_answers_must_not_hide_a_function(translate: Translat
         translate(text)
 
 
-def test_a_number_may_have_a_name_of_the_library(translate: Translate) -> None:
+def test_a_number_may_have_a_name_of_the_library(translate):
     text = """
         DBL_MAX = 2.0
 

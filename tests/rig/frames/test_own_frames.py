@@ -8,7 +8,6 @@ from hypothesis import example, given, strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.frames.codec import CheckStatus, Receiver, Transmitter
-from can_rig.frames.network import Network
 from can_rig.scenario.build import network_of
 from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database, options
 
@@ -16,14 +15,14 @@ LARGEST = float(np.finfo(np.float32).max)
 
 
 @pytest.fixture(scope="module")
-def floats(tmp_path_factory: pytest.TempPathFactory) -> Network:
+def floats(tmp_path_factory):
     dbc = tmp_path_factory.mktemp("floats") / "fd.dbc"
     dbc.write_text(database("64|32@1- (1,0) [0|0]", 12, 0x98FF0000, types="1", fd=True))
     ids = {"reference": 1, "feedback": 2, "command_1": 3, "command_2": 4, "status": 5}
     return network_of(load("default", options(dbc, FD_SIGNALS, data_ids=ids)))
 
 
-def test_without_protection_length_and_tick_decide_and_everything_is_counted() -> None:
+def test_without_protection_length_and_tick_decide_and_everything_is_counted():
     codec = network_of(load("default", options(MOTOROLA, SIGNALS))).command_1
     assert not codec.protected
     transmitter, receiver = Transmitter(codec), Receiver(codec)
@@ -42,13 +41,13 @@ def test_without_protection_length_and_tick_decide_and_everything_is_counted() -
 
 
 @pytest.mark.parametrize(("now", "said"), [(70_000, 70_000 - 65_536), (3, 3), (0, 0), (None, 0)])
-def test_a_frame_that_says_no_tick_is_of_the_tick_under_way(now: int | None, said: int) -> None:
+def test_a_frame_that_says_no_tick_is_of_the_tick_under_way(now, said):
     codec = network_of(load("default", options(MOTOROLA, SIGNALS, ""))).feedback
     record = Receiver(codec).accept(Transmitter(codec).frame(0.5, 9), now)
     assert record is not None and record.tick == said
 
 
-def test_a_classic_frame_of_the_same_number_is_another(floats: Network) -> None:
+def test_a_classic_frame_of_the_same_number_is_another(floats):
     codec = floats.command_1
     assert codec.protected
     transmitter, receiver = Transmitter(codec), Receiver(codec)
@@ -61,7 +60,7 @@ def test_a_classic_frame_of_the_same_number_is_another(floats: Network) -> None:
 
 @given(value=st.floats())
 @example(value=math.nan)
-def test_a_float_is_sent_as_ieee_754_has_it_and_saturates(floats: Network, value: float) -> None:
+def test_a_float_is_sent_as_ieee_754_has_it_and_saturates(floats, value):
     inside = min(max(value, -LARGEST), LARGEST) if not math.isnan(value) else value
     expected = float(np.float32(inside))
     np.testing.assert_equal(floats.command_1.to_raw(value), expected)

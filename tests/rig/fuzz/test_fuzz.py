@@ -1,7 +1,5 @@
 """tools/fuzz: the corpus is sound, damage of it is the same again, and nothing gets through."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -11,12 +9,12 @@ CORPUS = sorted(path for path in (Path(__file__).parent / "corpus").iterdir())
 
 
 @pytest.fixture(autouse=True)
-def as_scripts(monkeypatch: pytest.MonkeyPatch) -> None:
+def as_scripts(monkeypatch):
     monkeypatch.syspath_prepend(str(TOOLS))
 
 
 @pytest.mark.parametrize("path", CORPUS, ids=lambda path: path.name)
-def test_what_is_not_damaged_is_read(path: Path, tmp_path: Path) -> None:
+def test_what_is_not_damaged_is_read(path, tmp_path):
     import fuzz
 
     fuzz.read(path)
@@ -25,7 +23,7 @@ def test_what_is_not_damaged_is_read(path: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", CORPUS, ids=lambda path: path.name)
-def test_what_is_damaged_is_read_or_refused(path: Path, tmp_path: Path) -> None:
+def test_what_is_damaged_is_read_or_refused(path, tmp_path):
     import fuzz
     from fuzz_mutations import damaged
 
@@ -37,7 +35,7 @@ def test_what_is_damaged_is_read_or_refused(path: Path, tmp_path: Path) -> None:
         assert fuzz.attempt(tmp_path / path.name, broken) is None, number
 
 
-def test_what_goes_wrong_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_goes_wrong_is_found(tmp_path, monkeypatch):
     import fuzz
 
     def raising(path: Path) -> None:

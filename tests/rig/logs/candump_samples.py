@@ -1,7 +1,5 @@
 """Lines that candump writes, and their frames as plain values."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from can_rig.logs.frames import Frames, concatenate

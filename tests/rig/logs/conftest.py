@@ -1,7 +1,5 @@
 """The tests of logs run in a time zone that is not UTC."""
 
-from __future__ import annotations
-
 import os
 import time
 

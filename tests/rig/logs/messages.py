@@ -1,7 +1,5 @@
 """python-can's messages as columns of frames."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

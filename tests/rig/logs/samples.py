@@ -1,7 +1,5 @@
 """Logs to read: frames of every kind, what other programs write, and what formats keep of it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import can

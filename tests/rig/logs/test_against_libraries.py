@@ -1,7 +1,5 @@
 """tools/against_libraries: every difference has a reason, and a made difference is found."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +15,7 @@ TOOLS = Path(__file__).parents[3] / "tools"
 
 
 @pytest.fixture
-def tool(monkeypatch: pytest.MonkeyPatch):
+def tool(monkeypatch):
     monkeypatch.syspath_prepend(str(TOOLS))
     import against_libraries
 
@@ -25,7 +23,7 @@ def tool(monkeypatch: pytest.MonkeyPatch):
     return against_libraries
 
 
-def test_logs_and_a_database(tool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_logs_and_a_database(tool, tmp_path, monkeypatch):
     for suffix in (".asc", ".blf", ".log"):
         by_python_can(tmp_path / f"kinds{suffix}", kinds())
         by_python_can(tmp_path / f"plain{suffix}", plain(50))
@@ -51,9 +49,7 @@ def test_logs_and_a_database(tool, tmp_path: Path, monkeypatch: pytest.MonkeyPat
         lambda frames: replace(frames, data=frames.data ^ 1),
     ],
 )
-def test_another_frame_is_found(
-    tool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change
-) -> None:
+def test_another_frame_is_found(tool, tmp_path, monkeypatch, change):
     messages = [message for message in plain(5) if message.dlc]
     path = by_python_can(tmp_path / "a.log", messages)
     monkeypatch.setattr(tool, "read_log", lambda _: [change(from_messages(messages))])

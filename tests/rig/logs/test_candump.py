@@ -1,11 +1,8 @@
 """candump logs: what candump writes and what python-can reads, in blocks of any size."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import re
-from pathlib import Path
 
 import can
 import numpy as np
@@ -30,7 +27,7 @@ from tests.rig.logs.candump_samples import CANDUMP, DIRECTED, GOOD, rows, whole,
 from tests.rig.logs.messages import from_messages
 
 
-def test_what_candump_writes(tmp_path: Path) -> None:
+def test_what_candump_writes(tmp_path):
     found = rows(whole(written(tmp_path, GOOD)))
     base = 1436509052_000000000
     assert found[0] == (base + 249713000, 0x44, 0, "vcan0", 5, bytes.fromhex("2A366C2BBA"))
@@ -77,7 +74,7 @@ frames_drawn = st.builds(
 
 @settings(max_examples=60)
 @given(st.lists(frames_drawn, max_size=20), st.integers(1, 7))
-def test_the_same_frames_as_python_can(tmp_path_factory, messages, chunk_frames) -> None:
+def test_the_same_frames_as_python_can(tmp_path_factory, messages, chunk_frames):
     """Of a log that python-can wrote, read by python-can."""
     folder = tmp_path_factory.mktemp("log")
     messages.sort(key=lambda m: m.timestamp)  # its writer does not go back in time
@@ -96,7 +93,7 @@ def test_the_same_frames_as_python_can(tmp_path_factory, messages, chunk_frames)
 
 @settings(max_examples=60)
 @given(st.lists(frames_drawn, max_size=20))
-def test_written_lines_read_the_same(tmp_path_factory, messages) -> None:
+def test_written_lines_read_the_same(tmp_path_factory, messages):
     frames = from_messages(messages)
     path = written(tmp_path_factory.mktemp("log"), "".join(candump_lines(frames)))
     again = rows(whole(path))
@@ -104,7 +101,7 @@ def test_written_lines_read_the_same(tmp_path_factory, messages) -> None:
     assert np.allclose([r[0] for r in again], frames.time_ns, rtol=0, atol=500)
 
 
-def test_time_stamps_are_exact(tmp_path: Path) -> None:
+def test_time_stamps_are_exact(tmp_path):
     stamps = ["0", "0.1", "1.000000001", "1699999999.123456789", "9223372035.9", "3.1234567894"]
     text = "".join(f"({stamp}) can0 1#\n" for stamp in stamps)
     assert whole(written(tmp_path, text)).time_ns.tolist() == [
@@ -118,7 +115,7 @@ def test_time_stamps_are_exact(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("block", [1, 7, 100])
-def test_blocks_of_any_size(tmp_path: Path, monkeypatch, block: int) -> None:
+def test_blocks_of_any_size(tmp_path, monkeypatch, block):
     plain, packed = (written(tmp_path, DIRECTED * 2), gzip.compress((DIRECTED * 2).encode()))
     every = rows(whole(plain))
     monkeypatch.setattr("can_rig.logs.text.BLOCK_BYTES", block)
@@ -126,14 +123,14 @@ def test_blocks_of_any_size(tmp_path: Path, monkeypatch, block: int) -> None:
     assert rows(whole(written(tmp_path, packed, "a.log.gz"))) == every
 
 
-def test_chunks_are_bounded_and_the_same(tmp_path: Path) -> None:
+def test_chunks_are_bounded_and_the_same(tmp_path):
     path = written(tmp_path, DIRECTED * 40)
     chunks = list(read_log(path, chunk_frames=7))
     assert max(map(len, chunks)) <= 7
     assert rows(concatenate(chunks)) == rows(whole(path))
 
 
-def test_a_log_may_be_read_again(tmp_path: Path) -> None:
+def test_a_log_may_be_read_again(tmp_path):
     log = read_log(written(tmp_path, GOOD))
     assert len(concatenate(log)) == len(concatenate(log)) == 11
     assert log.start_ns == 1436509052_249713000
@@ -172,7 +169,7 @@ def test_a_log_may_be_read_again(tmp_path: Path) -> None:
         CANDUMP.splitlines()[-1],  # blanks within the payload
     ],
 )
-def test_what_is_no_frame_is_named(tmp_path: Path, line: str) -> None:
+def test_what_is_no_frame_is_named(tmp_path, line):
     log = read_log(written(tmp_path, f"(0.5) can0 1#\n\n{line}\n(2.0) can0 1#\n"))
     found = []
     with pytest.raises(
@@ -187,7 +184,7 @@ def test_what_is_no_frame_is_named(tmp_path: Path, line: str) -> None:
 @given(st.binary(max_size=60), st.integers(0, 70), st.integers(0, 10))
 @example(b"\n", 10, 0)
 @example(b"_", 40, 0)
-def test_damage_is_refused_or_read_and_never_more(tmp_path_factory, junk, at, cut) -> None:
+def test_damage_is_refused_or_read_and_never_more(tmp_path_factory, junk, at, cut):
     """Bytes put into a line, or in place of some: an error with its line, or frames."""
     line = b"(1436509053.451125) vcan0 5A1##3112233445566778899AABBCCDDEEFF R\n"
     text = line + line[:at] + junk + line[at + cut :] + line
@@ -200,7 +197,7 @@ def test_damage_is_refused_or_read_and_never_more(tmp_path_factory, junk, at, cu
         assert 1 <= len(frames) <= 3 + junk.count(b"\n") + junk.count(b"#")
 
 
-def test_cut_off_at_every_byte(tmp_path: Path) -> None:
+def test_cut_off_at_every_byte(tmp_path):
     """Each whole line is read, and of a cut last line each field with an end."""
     every = rows(whole(written(tmp_path, DIRECTED)))
     text = DIRECTED.encode()
@@ -220,7 +217,7 @@ def test_cut_off_at_every_byte(tmp_path: Path) -> None:
             assert log.notice is None
 
 
-def test_compressed_and_cut_off(tmp_path: Path) -> None:
+def test_compressed_and_cut_off(tmp_path):
     text = DIRECTED * 50
     packed = gzip.compress(text.encode())
     every = rows(whole(written(tmp_path, packed, "a.log.gz")))
@@ -244,7 +241,7 @@ def test_compressed_and_cut_off(tmp_path: Path) -> None:
         ("log", "unknown log format"),
     ],
 )
-def test_names_that_say_nothing(tmp_path: Path, name: str, reason: str) -> None:
+def test_names_that_say_nothing(tmp_path, name, reason):
     with pytest.raises(LogError, match="there is no such file"):
         read_log(tmp_path / name)
     (tmp_path / name).write_text("no log\n")
@@ -252,7 +249,7 @@ def test_names_that_say_nothing(tmp_path: Path, name: str, reason: str) -> None:
         read_log(tmp_path / name)
 
 
-def test_what_is_not_there(tmp_path: Path) -> None:
+def test_what_is_not_there(tmp_path):
     with pytest.raises(LogError, match=r"no.log: there is no such file"):
         list(read_log(tmp_path / "no.log"))
     (tmp_path / "folder.log").mkdir()

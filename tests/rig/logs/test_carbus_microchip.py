@@ -1,9 +1,6 @@
 """Traces of CARBUS Analyzer and logs of Microchip's analyzer, as SavvyCAN reads and writes them."""
 
-from __future__ import annotations
-
 import gzip
-from pathlib import Path
 
 import pytest
 
@@ -36,7 +33,7 @@ Logging Started: 23/9/2015 22:17:43
 
 
 @pytest.mark.parametrize(("version", "unit_ns"), [(2, 1_000_000), (3, 1_000)])
-def test_a_trace_of_carbus_analyzer(tmp_path: Path, version: int, unit_ns: int) -> None:
+def test_a_trace_of_carbus_analyzer(tmp_path, version, unit_ns):
     """Seconds and a number of ms or of µs, which may lack its leading zeros."""
     text = CARBUS.format(version=version, first="016", second="21")
     ten = 10**9
@@ -53,7 +50,7 @@ def test_a_trace_of_carbus_analyzer(tmp_path: Path, version: int, unit_ns: int) 
         assert log.notice is None
 
 
-def test_a_microchip_log(tmp_path: Path) -> None:
+def test_a_microchip_log(tmp_path):
     path = written(tmp_path, MICROCHIP_LOG, "a.log")
     assert content_format(path).key == "Microchip"
     expected = [
@@ -80,6 +77,6 @@ def test_a_microchip_log(tmp_path: Path) -> None:
         (CARBUS.format(version=3, first="016", second="21").replace("5A 04 FF", "5A 04 XX"), 3),
     ],
 )
-def test_a_damaged_frame_is_named(tmp_path: Path, text: str, line: int) -> None:
+def test_a_damaged_frame_is_named(tmp_path, text, line):
     with pytest.raises(LogError, match=rf"a.log: line {line}: not a valid frame"):
         whole(written(tmp_path, text, "a.log"))

@@ -1,7 +1,5 @@
 """What a conversion says that it changes, beside what is different when its file is read again."""
 
-from __future__ import annotations
-
 import json
 import re
 import tempfile
@@ -163,9 +161,7 @@ def agree(lines: list[str], before: list[tuple], start_ns: int, log: Log) -> boo
     first_ns=st.sampled_from([0, 1, 1_000_000, 7_000_345]),
     chunk=st.sampled_from([2, 100]),
 )
-def test_it_says_what_is_different(
-    suffix: str, frames: list[tuple], start_ns: int, first_ns: int, chunk: int
-) -> None:
+def test_it_says_what_is_different(suffix, frames, start_ns, first_ns, chunk):
     lacks = LACKS.get(suffix, set())
     frames = [frame for frame in frames if not any(frame[2] & flag for flag in lacks)]
     if not frames:
@@ -183,7 +179,7 @@ def test_it_says_what_is_different(
 @pytest.mark.parametrize("second", FORMATS)
 @settings(max_examples=8, deadline=None)
 @given(frames=st.lists(one_frame(), min_size=1, max_size=6), start_ns=st.sampled_from(STARTS_NS))
-def test_every_pair_of_formats(first: str, second: str, frames: list[tuple], start_ns: int) -> None:
+def test_every_pair_of_formats(first, second, frames, start_ns):
     """From the first format to the second and back, twice: the second loss is none."""
     lacks = LACKS.get(first, set()) | LACKS.get(second, set())
     frames = [frame for frame in frames if not any(frame[2] & flag for flag in lacks)]
@@ -204,7 +200,7 @@ def test_every_pair_of_formats(first: str, second: str, frames: list[tuple], sta
         assert not said(changes.lines()).keys() - {"start", "places"}
 
 
-def test_buses_are_told_apart_and_the_command_says_how(tmp_path: Path) -> None:
+def test_buses_are_told_apart_and_the_command_says_how(tmp_path):
     buses = ["can0", "vcan0", "canA", "canB", "can1"]
     lines = [f"(1700000000.00{at}000) {bus} 123#0{at}\n" for at, bus in enumerate(buses)]
     source = written(tmp_path, "".join(lines))
@@ -222,7 +218,7 @@ def test_buses_are_told_apart_and_the_command_says_how(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".trc", ".csv"])
-def test_what_is_refused_is_counted_in_the_whole_log(tmp_path: Path, suffix: str) -> None:
+def test_what_is_refused_is_counted_in_the_whole_log(tmp_path, suffix):
     frames = [(1_000_000, 1, 0, "can0", 1, b"1"), (1_000_000, 8, ERROR, "can0", 8, bytes(8))] * 134
     log = logged(tmp_path, frames, 0, 0, chunk=4)
     with pytest.raises(LogError, match=r"b\.\w+: .* and .*a has 134 error frames; the format must"):
@@ -231,7 +227,7 @@ def test_what_is_refused_is_counted_in_the_whole_log(tmp_path: Path, suffix: str
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".trc"])
-def test_a_clock_that_goes_back(tmp_path: Path, suffix: str) -> None:
+def test_a_clock_that_goes_back(tmp_path, suffix):
     """Before the start of a file that says one, its formats have no times."""
     times_s = ["1700000000.007000", "1700000000.005000", "1699999999.500000"]
     lines = [f"({time_s}) can0 123#0{at}\n" for at, time_s in enumerate(times_s)]

@@ -1,7 +1,5 @@
 """Objects of Vector binary logs, put together byte by byte."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path
@@ -44,7 +42,7 @@ def blf(folder: Path, *containers: bytes) -> Path:
     return written(folder, _HEADER + b"".join(containers), "a.blf")
 
 
-def test_objects_of_every_type(tmp_path: Path) -> None:
+def test_objects_of_every_type(tmp_path):
     fd = struct.pack("<HBBLLBBB5x64s", 1, 1, 9, 0x80000123, 0, 0, 3, 12, bytes(range(64)))
     objects = [
         one(1, classic()),
@@ -68,7 +66,7 @@ def test_objects_of_every_type(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("cut", [1, 15, 16, 31, 40, 48])
 @pytest.mark.parametrize("method", [0, 2])
-def test_an_object_may_go_on_in_the_next_container(tmp_path: Path, cut: int, method: int) -> None:
+def test_an_object_may_go_on_in_the_next_container(tmp_path, cut, method):
     data = one(1, classic()) + one(1, classic(0x124))
     path = blf(tmp_path, container(data[:cut], method), container(data[cut:], method))
     assert [row[1] for row in rows(whole(path))] == [0x123, 0x124]
@@ -76,14 +74,14 @@ def test_an_object_may_go_on_in_the_next_container(tmp_path: Path, cut: int, met
 
 @pytest.mark.parametrize("zeros", [1, 7, 8, 9, 16, 100, 5000])
 @pytest.mark.parametrize("method", [0, 2])
-def test_zeros_at_the_end_of_a_container(tmp_path: Path, zeros: int, method: int) -> None:
+def test_zeros_at_the_end_of_a_container(tmp_path, zeros, method):
     """And behind it, where a recorder has more room than it needs."""
     parts = [container(one(1, classic(at)) + bytes(zeros), method) + bytes(zeros) for at in (1, 2)]
     log = read_log(blf(tmp_path, *parts))
     assert [row[1] for row in rows(concatenate(log))] == [1, 2]
 
 
-def test_objects_outside_any_container(tmp_path: Path) -> None:
+def test_objects_outside_any_container(tmp_path):
     path = blf(tmp_path, one(1, classic()), container(one(1, classic(0x124))))
     assert [row[1] for row in rows(whole(path))] == [0x123, 0x124]
 
@@ -99,7 +97,7 @@ def test_objects_outside_any_container(tmp_path: Path) -> None:
         (b"x" * 40, "no whole object"),
     ],
 )
-def test_an_object_that_would_never_end_is_named(tmp_path: Path, content: bytes, said: str) -> None:
+def test_an_object_that_would_never_end_is_named(tmp_path, content, said):
     with pytest.raises(LogError, match=rf"a.blf: byte 144: does not follow the format: .*{said}"):
         whole(blf(tmp_path, container(content)))
 
@@ -114,13 +112,13 @@ def test_an_object_that_would_never_end_is_named(tmp_path: Path, content: bytes,
         (container(b"")[:32] + b"\xff" * 8, "header check"),
     ],
 )
-def test_a_damaged_container_is_named(tmp_path: Path, damaged: bytes, said: str) -> None:
+def test_a_damaged_container_is_named(tmp_path, damaged, said):
     path = blf(tmp_path, container(one(1, classic())), damaged)
     with pytest.raises(LogError, match=rf"a.blf: byte \d+: does not follow the format: .*{said}"):
         whole(path)
 
 
-def test_a_container_holds_no_more_than_it_says(tmp_path: Path) -> None:
+def test_a_container_holds_no_more_than_it_says(tmp_path):
     """Zeros by the gigabyte take a few kilobytes."""
     inside = one(1, classic())
     path = blf(tmp_path, container(inside + bytes(10_000_000), size=len(inside)))

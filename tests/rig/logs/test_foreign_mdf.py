@@ -1,10 +1,7 @@
 """MDF files as other loggers write them: virtual channels, records of several groups, lists."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
-from pathlib import Path
 
 import asammdf
 import pytest
@@ -56,7 +53,7 @@ def expected(count: int, flags: int = 0, bus: str = "0") -> list[tuple]:
     ]
 
 
-def test_virtual_channels_are_what_their_conversion_says(tmp_path: Path) -> None:
+def test_virtual_channels_are_what_their_conversion_says(tmp_path):
     builder = Builder()
     first = group(builder, virtual(builder), RECORD.size, 300)
     data = data_group(builder, first, builder.put(b"DT", [], frames(300)))
@@ -70,7 +67,7 @@ def test_virtual_channels_are_what_their_conversion_says(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("layout", ["packed", "transposed", "list", "header list"])
-def test_data_in_lists_and_compressed(tmp_path: Path, layout: str) -> None:
+def test_data_in_lists_and_compressed(tmp_path, layout):
     builder = Builder()
     first = group(builder, members(builder), RECORD.size, 50)
     content = frames(50)
@@ -113,7 +110,7 @@ def groups_among(builder: Builder, count: int) -> int:
 
 
 @pytest.mark.parametrize("id_bytes", [1, 2, 4, 8])
-def test_records_of_several_groups_among_one_another(tmp_path: Path, id_bytes: int) -> None:
+def test_records_of_several_groups_among_one_another(tmp_path, id_bytes):
     """With payloads of varying length: each is a record of a group of its own."""
     builder = Builder()
     data = among(40, id_bytes)
@@ -125,7 +122,7 @@ def test_records_of_several_groups_among_one_another(tmp_path: Path, id_bytes: i
     assert [row[4:] for row in found] == [(at % 9, bytes([at] * (at % 9))) for at in range(40)]
 
 
-def test_payloads_of_varying_length_in_a_block_of_their_own(tmp_path: Path) -> None:
+def test_payloads_of_varying_length_in_a_block_of_their_own(tmp_path):
     builder = Builder()
     values = b"".join(struct.pack("<I", 4) + bytes([at] * 4) for at in range(1, 31))
     at = builder.put(b"SD", [], values)
@@ -138,7 +135,7 @@ def test_payloads_of_varying_length_in_a_block_of_their_own(tmp_path: Path) -> N
     assert [row[5] for row in rows(whole(path, 7))] == [bytes([at] * 4) for at in range(1, 31)]
 
 
-def test_a_file_that_its_logger_left_open(tmp_path: Path) -> None:
+def test_a_file_that_its_logger_left_open(tmp_path):
     """Neither the number of records nor the length of the data is in it."""
     left_open = Builder(b"UnFinMF 4.11    test    ", flags=4 + 1)
     first = group(left_open, members(left_open), RECORD.size, 0)
@@ -153,7 +150,7 @@ def test_a_file_that_its_logger_left_open(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("layout", ["plain", "packed", "transposed", "among", "apart"])
-def test_cut_off_anywhere(tmp_path: Path, layout: str) -> None:
+def test_cut_off_anywhere(tmp_path, layout):
     """A logger describes its records first, so that a cut log has the frames up to the cut."""
     start = b"UnFinMF 4.11" if layout == "among" else b"MDF     4.11"
     builder, behind = Builder(start), 168 + 4096
@@ -197,7 +194,7 @@ def test_cut_off_anywhere(tmp_path: Path, layout: str) -> None:
 
 
 @pytest.mark.parametrize("rest", [bytes(3), bytes(5000)])
-def test_room_that_a_logger_did_not_use(tmp_path: Path, rest: bytes) -> None:
+def test_room_that_a_logger_did_not_use(tmp_path, rest):
     builder = Builder(b"UnFinMF 4.11    test    ", flags=4 + 1)
     first = groups_among(builder, 0)
     data = described_first(builder, first, [lambda b: b.put(b"DT", [], among(30, 1) + rest)], 1)
@@ -210,7 +207,7 @@ def always(name: str) -> Member:
     return Member(f"{DATA}.{name}", 0, 0, VIRTUAL, conversion=lambda b: b.linear(1, 0))
 
 
-def test_a_remote_frame_is_never_one_of_can_fd(tmp_path: Path) -> None:
+def test_a_remote_frame_is_never_one_of_can_fd(tmp_path):
     for marks, flags in ((["EDL"], FD), (["EDL", "RTR"], REMOTE)):
         builder = Builder()
         first = group(builder, members(builder, *map(always, marks)), RECORD.size, 3)
@@ -220,7 +217,7 @@ def test_a_remote_frame_is_never_one_of_can_fd(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_changed_byte_is_read_or_refused_in_one_line(tmp_path: Path, seed: int) -> None:
+def test_a_changed_byte_is_read_or_refused_in_one_line(tmp_path, seed):
     builder = Builder()
     first = group(builder, virtual(builder), RECORD.size, 20)
     data = data_group(builder, first, builder.packed(frames(20), RECORD.size))

@@ -1,9 +1,5 @@
 """Lines of Vector's and PEAK's text logs that other readers stumble over."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from can_rig.errors import LogError
@@ -29,7 +25,7 @@ PEAK_2_1 = """\
 ASC = "date Fri Jul 10 06:17:32 2015\nbase hex  timestamps absolute\n"
 
 
-def test_the_length_code_of_a_peak_trace_is_no_number_of_bytes(tmp_path: Path) -> None:
+def test_the_length_code_of_a_peak_trace_is_no_number_of_bytes(tmp_path):
     found = rows(whole(written(tmp_path, PEAK_2_1, "a.trc")))
     start = 43008 - 25569
     base = start * 86400 * 10**9 + 43200 * 10**9
@@ -55,7 +51,7 @@ def test_the_length_code_of_a_peak_trace_is_no_number_of_bytes(tmp_path: Path) -
         ("1.3", "     1)     17535.000 3  Rx    00000100 -  2    0A 0B", "2"),
     ],
 )
-def test_every_version_of_a_peak_trace(tmp_path: Path, version: str, line: str, bus: str) -> None:
+def test_every_version_of_a_peak_trace(tmp_path, version, line, bus):
     text = f";$FILEVERSION={version}\n;$STARTTIME=25569\n;\n{line}\n"
     assert rows(whole(written(tmp_path, text, "a.trc"))) == [
         (17_535_000_000, 0x100, EXTENDED, bus, 2, b"\x0a\x0b")
@@ -81,9 +77,7 @@ def test_every_version_of_a_peak_trace(tmp_path: Path, version: str, line: str, 
         (",L,D", ",D", "must be of version 1.0 to 1.3, or name its columns"),
     ],
 )
-def test_numbers_beyond_any_range_in_a_peak_trace(
-    tmp_path: Path, old: str, new: str, said: str | None
-) -> None:
+def test_numbers_beyond_any_range_in_a_peak_trace(tmp_path, old, new, said):
     path = written(tmp_path, PEAK_2_1.replace(old, new, 1), "a.trc")
     if said is None:
         assert len(whole(path)) == 7
@@ -111,7 +105,7 @@ def test_numbers_beyond_any_range_in_a_peak_trace(
         "1.0 CANFD 1 Rx",
     ],
 )
-def test_numbers_beyond_any_range_in_a_vector_log(tmp_path: Path, line: str) -> None:
+def test_numbers_beyond_any_range_in_a_vector_log(tmp_path, line):
     path = written(tmp_path, f"{ASC}0.5 1  123  Rx   d 1 00\n{line}\n", "a.asc")
     with pytest.raises(LogError, match="line 4: not a valid frame"):
         whole(path)
@@ -130,9 +124,7 @@ def test_numbers_beyond_any_range_in_a_vector_log(tmp_path: Path, line: str) -> 
         ("1.0 3 ErrorFrame ECC: 10100010", (ERROR, 0, b"")),
     ],
 )
-def test_kinds_of_frames_of_a_vector_log(
-    tmp_path: Path, line: str, kind: tuple[int, int, bytes]
-) -> None:
+def test_kinds_of_frames_of_a_vector_log(tmp_path, line, kind):
     """Remote frames are classic ones, and so is what a controller for CAN FD received as such."""
     (found,) = rows(whole(written(tmp_path, f"{ASC}{line}\n", "a.asc")))
     assert (found[2], *found[4:]) == kind
@@ -140,19 +132,19 @@ def test_kinds_of_frames_of_a_vector_log(
 
 
 @pytest.mark.parametrize("year", ["0001", "9999", "99999"])
-def test_a_date_that_is_none_of_a_recording_is_passed_over(tmp_path: Path, year: str) -> None:
+def test_a_date_that_is_none_of_a_recording_is_passed_over(tmp_path, year):
     text = ASC.replace("2015", year) + "1.0 1 123 Rx d 1 05\n"
     assert rows(whole(written(tmp_path, text, "a.asc"))) == [(10**9, 0x123, 0, "0", 1, b"\5")]
 
 
-def test_decimal_numbers_of_a_vector_log(tmp_path: Path) -> None:
+def test_decimal_numbers_of_a_vector_log(tmp_path):
     text = "base dec  timestamps absolute\n1.0 1 300x Rx d 3 10 255 0\n"
     (found,) = rows(whole(written(tmp_path, text, "a.asc")))
     assert found[1:] == (300, EXTENDED, "0", 3, b"\x0a\xff")  # the zero at the end is stripped
 
 
 @pytest.mark.parametrize("name", ["a.asc", "a.trc", "a.log"])
-def test_a_last_line_that_says_its_length_needs_no_newline(tmp_path: Path, name: str) -> None:
+def test_a_last_line_that_says_its_length_needs_no_newline(tmp_path, name):
     text, length = {
         "a.asc": (f"{ASC}0.5 1  123  Rx   d 1 00\n0.6 1  124  Rx   d 2 0A 0B", 2),
         "a.trc": (PEAK_2_1[: PEAK_2_1.index("\n      7")], 4),
@@ -168,5 +160,5 @@ def test_a_last_line_that_says_its_length_needs_no_newline(tmp_path: Path, name:
     assert cut == frames[:-1]
 
 
-def test_the_state_of_the_bus_is_no_frame(tmp_path: Path) -> None:
+def test_the_state_of_the_bus_is_no_frame(tmp_path):
     assert len(whole(written(tmp_path, PEAK, "a.trc"))) == 3

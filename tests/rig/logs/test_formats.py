@@ -1,11 +1,8 @@
 """Logs of other formats, read whole; ``test_changes`` has logs written and read again."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import re
-from pathlib import Path
 
 import can
 import numpy as np
@@ -34,7 +31,7 @@ from tests.rig.logs.test_carbus_microchip import CARBUS, MICROCHIP_LOG
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".trc", ".mf4"])
-def test_what_python_can_wrote(tmp_path: Path, suffix: str) -> None:
+def test_what_python_can_wrote(tmp_path, suffix):
     messages = plain(300)
     log = read_log(by_python_can(tmp_path / f"a{suffix}", messages), chunk_frames=64)
     frames, sent = concatenate(log), from_messages(messages)
@@ -49,13 +46,13 @@ def test_what_python_can_wrote(tmp_path: Path, suffix: str) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".mf4"])
-def test_every_kind_of_frame(tmp_path: Path, suffix: str) -> None:
+def test_every_kind_of_frame(tmp_path, suffix):
     log = read_log(by_python_can(tmp_path / f"a{suffix}", kinds()))
     assert content(concatenate(log)) == content(from_messages(kinds()))
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".trc", ".csv"])
-def test_compressed_text(tmp_path: Path, suffix: str) -> None:
+def test_compressed_text(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     write_log(read_log(by_python_can(tmp_path / "a.log", plain(50))), path)
     (tmp_path / f"a{suffix}.gz").write_bytes(gzip.compress(path.read_bytes()))
@@ -64,7 +61,7 @@ def test_compressed_text(tmp_path: Path, suffix: str) -> None:
     assert packed.start_ns == unpacked.start_ns > 0
 
 
-def test_a_peak_log_tells_its_own_name(tmp_path: Path) -> None:
+def test_a_peak_log_tells_its_own_name(tmp_path):
     by_python_can(tmp_path / "a.log", plain(2))
     write_log(read_log(tmp_path / "a.log"), tmp_path / "b.trc")
     assert f";   {tmp_path / 'b.trc'}" in (tmp_path / "b.trc").read_text("ascii").splitlines()
@@ -83,7 +80,7 @@ FRAME = re.compile(rb"(?<=[\r\n])(?:\d+,[\dt]|\d+;[RT]X|\d\d:\d\d:)")
 
 
 @pytest.mark.parametrize("kind", [".asc", ".blf", ".trc", *TEXTS])
-def test_cut_off_at_every_byte(tmp_path: Path, kind: str) -> None:
+def test_cut_off_at_every_byte(tmp_path, kind):
     """All frames up to the cut and a notice, or one line where not even the header is left."""
     if kind in TEXTS:
         path = written(tmp_path, TEXTS[kind], "a.csv" if kind == "SavvyCAN" else "a.log")
@@ -120,7 +117,7 @@ def test_cut_off_at_every_byte(tmp_path: Path, kind: str) -> None:
 @pytest.mark.parametrize(
     "junk", [b"this is\nno log\nat all\n", bytes(500), np.random.default_rng(2).bytes(3000)]
 )
-def test_something_else_is_refused_in_one_line(tmp_path: Path, suffix: str, junk: bytes) -> None:
+def test_something_else_is_refused_in_one_line(tmp_path, suffix, junk):
     path = tmp_path / f"a{suffix}"
     path.write_bytes(junk)
     with pytest.raises(LogError) as error:
@@ -136,14 +133,14 @@ def test_something_else_is_refused_in_one_line(tmp_path: Path, suffix: str, junk
         ("MDF     3.30" + "\0" * 88, "not an MDF 4 file"),
     ],
 )
-def test_an_mdf_file_without_groups_is_refused(tmp_path: Path, head: str, said: str) -> None:
+def test_an_mdf_file_without_groups_is_refused(tmp_path, head, said):
     path = tmp_path / "a.mf4"
     path.write_text(head, "ascii")
     with pytest.raises(LogError, match=f"^{path}: {said}"):
         concatenate(read_log(path))
 
 
-def test_a_damaged_binary_log_is_named(tmp_path: Path) -> None:
+def test_a_damaged_binary_log_is_named(tmp_path):
     path = by_python_can(tmp_path / "a.blf", plain(50))
     data = bytearray(path.read_bytes())
     data[144 + 40 : 144 + 60] = bytes(20)
@@ -152,7 +149,7 @@ def test_a_damaged_binary_log_is_named(tmp_path: Path) -> None:
         concatenate(read_log(path))
 
 
-def test_a_binary_log_that_was_never_finished(tmp_path: Path) -> None:
+def test_a_binary_log_that_was_never_finished(tmp_path):
     path = tmp_path / "a.blf"
     with can.BLFWriter(path) as writer:
         for message in plain(50):
@@ -170,7 +167,7 @@ def test_a_binary_log_that_was_never_finished(tmp_path: Path) -> None:
 LOG = "".join(f"({at // 10}.{at % 10}00000) can{at % 2} 123#{at:02X}\n" for at in range(100))
 
 
-def test_a_part_of_the_recording(tmp_path: Path) -> None:
+def test_a_part_of_the_recording(tmp_path):
     path = written(tmp_path, LOG.replace("(", "(17"))
     window = Window(2_000_000_000, 3_500_000_000)
     found = rows(concatenate(read_log(path, 7, window)))
@@ -196,13 +193,13 @@ def test_a_part_of_the_recording(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("name", ["a.log", "a.mf4", "a.txt", "a"])
-def test_a_log_is_known_by_what_is_in_it(tmp_path: Path, text: str, kind: str, name: str) -> None:
+def test_a_log_is_known_by_what_is_in_it(tmp_path, text, kind, name):
     path = written(tmp_path, text, name)
     assert read_log(path).format.key == kind
     assert len(whole(path)) > 1
 
 
-def test_binary_logs_by_another_name(tmp_path: Path) -> None:
+def test_binary_logs_by_another_name(tmp_path):
     for suffix in (".blf", ".mf4"):
         path = by_python_can(tmp_path / f"a{suffix}", plain(20))
         other = path.rename(tmp_path / "a.asc")
@@ -212,7 +209,7 @@ def test_binary_logs_by_another_name(tmp_path: Path) -> None:
         read_log(written(tmp_path, "nothing known", "a.txt"))
 
 
-def test_what_is_in_a_log(tmp_path: Path) -> None:
+def test_what_is_in_a_log(tmp_path):
     """A cycle of 10 ms with one frame missing, at 500 kbit/s, beside another bus."""
     lines = [(at * 0.01, "can0 123#0102030405060708") for at in range(200) if at != 50]
     lines += [(at * 0.1 + 0.0005, "can1 12345678#") for at in range(20)]

@@ -1,7 +1,5 @@
 """The compiled line loops run interpreted with the same result."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -17,7 +15,7 @@ for name in sys.argv[1:]:
 TEXTS = ("busmaster.log", "candump.log", "canoe.asc", "microchip.log", "pcan-2.1.trc")
 
 
-def test_the_compiled_lines_are_those_that_run_interpreted() -> None:
+def test_the_compiled_lines_are_those_that_run_interpreted():
     corpus = Path(__file__).parents[1] / "fuzz/corpus"
     words = [sys.executable, "-c", SHOWN, *(str(corpus / name) for name in TEXTS)]
     shown = [

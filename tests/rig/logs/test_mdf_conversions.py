@@ -1,7 +1,5 @@
 """What the channels of an MDF file mean: conversions of every type."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import asammdf
@@ -58,9 +56,7 @@ def converted(tmp_path: Path, name: str, data_type: int, kind: int, *tables: lis
         (TEXT, TEXT_TO_VALUE, [[1, 2, 5], ["A", "B"]]),
     ],
 )
-def test_a_number_is_what_asammdf_makes_of_it(
-    tmp_path: Path, data_type: int, kind: int, tables: list
-) -> None:
+def test_a_number_is_what_asammdf_makes_of_it(tmp_path, data_type, kind, tables):
     path = converted(tmp_path, "BusChannel", data_type, kind, *tables)
     with asammdf.MDF(path, process_bus_logging=False) as file:
         theirs = file.get(f"{DATA}.BusChannel").samples
@@ -68,7 +64,7 @@ def test_a_number_is_what_asammdf_makes_of_it(
     assert len(set(theirs.tolist())) > 2
 
 
-def test_words_say_who_sent_a_frame(tmp_path: Path) -> None:
+def test_words_say_who_sent_a_frame(tmp_path):
     nested = [[7, 8], ["Rx", lambda b: b.linear(0, 0), lambda b: b.linear(0, 1)]]
     for data_type, kind, tables, sent in (
         (TEXT, TEXT_TO_TEXT, [[], ["A", "Tx", "B", "Rx", "Rx"]], {ord("A")}),
@@ -84,9 +80,7 @@ def test_words_say_who_sent_a_frame(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["ID", "DataLength", "BusChannel"])
 @pytest.mark.parametrize(("kind", "tables"), [(0, [[]]), (WORDS, [[0], ["Tx"]])])
-def test_a_number_that_is_a_word_is_refused(
-    tmp_path: Path, name: str, kind: int, tables: list
-) -> None:
+def test_a_number_that_is_a_word_is_refused(tmp_path, name, kind, tables):
     with pytest.raises(LogError, match=f"{name} must hold numbers, not text"):
         whole(converted(tmp_path, name, TEXT, kind, *tables))
 
@@ -101,8 +95,6 @@ def test_a_number_that_is_a_word_is_refused(
         (1, [[float("nan"), 0]], "must be between 0 and 4294967295"),
     ],
 )
-def test_a_conversion_to_no_number_is_refused(
-    tmp_path: Path, kind: int, tables: list, said: str
-) -> None:
+def test_a_conversion_to_no_number_is_refused(tmp_path, kind, tables, said):
     with pytest.raises(LogError, match=said):
         whole(converted(tmp_path, "BusChannel", UNSIGNED, kind, *tables))

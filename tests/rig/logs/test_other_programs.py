@@ -1,7 +1,5 @@
 """Logs that other programs wrote: log2asc, CANoe, PCAN-View, asammdf."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 
@@ -16,7 +14,7 @@ from can_rig.logs.reading import read_log
 from tests.rig.logs.samples import CANOE, LOG2ASC, PEAK, content, relative_ns
 
 
-def test_a_log_of_log2asc(tmp_path: Path) -> None:
+def test_a_log_of_log2asc(tmp_path):
     (tmp_path / "a.asc").write_text(LOG2ASC, "ascii")
     log = read_log(tmp_path / "a.asc")
     frames = concatenate(log)
@@ -33,7 +31,7 @@ def test_a_log_of_log2asc(tmp_path: Path) -> None:
     assert log.notice is None
 
 
-def test_a_log_of_canoe(tmp_path: Path) -> None:
+def test_a_log_of_canoe(tmp_path):
     (tmp_path / "a.asc").write_text(CANOE, "ascii")
     log = read_log(tmp_path / "a.asc")
     assert content(concatenate(log)) == [
@@ -45,20 +43,20 @@ def test_a_log_of_canoe(tmp_path: Path) -> None:
     assert log.notice is None
 
 
-def test_the_first_frame_behind_a_short_header_is_read(tmp_path: Path) -> None:
+def test_the_first_frame_behind_a_short_header_is_read(tmp_path):
     """python-can takes the line behind the header for one of it."""
     text = LOG2ASC.replace("no internal events logged\n", "")
     (tmp_path / "a.asc").write_text(text, "ascii")
     assert len(concatenate(read_log(tmp_path / "a.asc"))) == 5
 
 
-def test_time_stamps_from_line_to_line_are_refused(tmp_path: Path) -> None:
+def test_time_stamps_from_line_to_line_are_refused(tmp_path):
     (tmp_path / "a.asc").write_text(LOG2ASC.replace("absolute", "relative"), "ascii")
     with pytest.raises(LogError, match=r"a.asc: .*'timestamps relative'.*absolute"):
         concatenate(read_log(tmp_path / "a.asc"))
 
 
-def test_a_log_of_pcan_view(tmp_path: Path) -> None:
+def test_a_log_of_pcan_view(tmp_path):
     (tmp_path / "a.trc").write_text(PEAK, "ascii")
     log = read_log(tmp_path / "a.trc")
     frames = concatenate(log)
@@ -98,7 +96,7 @@ def bus_logging(path: Path, groups: int) -> Path:
 
 @pytest.mark.parametrize("groups", [1, 2, 3])
 @pytest.mark.parametrize("chunk_frames", [4, 100])
-def test_groups_are_merged_by_time(tmp_path: Path, groups: int, chunk_frames: int) -> None:
+def test_groups_are_merged_by_time(tmp_path, groups, chunk_frames):
     log = read_log(bus_logging(tmp_path / "a.mf4", groups), chunk_frames)
     frames = concatenate(log)
     assert relative_ns(frames).tolist() == [at * 10_000_000 for at in range(30)]

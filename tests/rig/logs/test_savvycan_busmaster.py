@@ -1,10 +1,7 @@
 """CSV logs of SavvyCAN and logs of BUSMASTER."""
 
-from __future__ import annotations
-
 import csv
 from datetime import datetime
-from pathlib import Path
 
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -27,7 +24,7 @@ from tests.rig.logs.samples import (
 )
 
 
-def test_a_savvycan_log(tmp_path: Path) -> None:
+def test_a_savvycan_log(tmp_path):
     path = written(tmp_path, GVRET, "a.csv")
     assert rows(whole(path)) == [
         (39_747_828_000, 0x5EB, 0, "0", 8, bytes.fromhex("E845854B4A283669")),
@@ -60,7 +57,7 @@ def test_a_savvycan_log(tmp_path: Path) -> None:
         max_size=20,
     )
 )
-def test_any_frame_as_the_csv_module_reads_it(tmp_path_factory, frames: list[tuple]) -> None:
+def test_any_frame_as_the_csv_module_reads_it(tmp_path_factory, frames):
     folder = tmp_path_factory.mktemp("gvret")
     header = GVRET.splitlines()[0]
     lines = [
@@ -84,14 +81,14 @@ def test_any_frame_as_the_csv_module_reads_it(tmp_path_factory, frames: list[tup
     assert rows(whole(path)) == wanted
 
 
-def test_frames_of_more_than_8_bytes_are_can_fd(tmp_path: Path) -> None:
+def test_frames_of_more_than_8_bytes_are_can_fd(tmp_path):
     text = GVRET.splitlines()[0] + "\n1,5,false,Rx,0,12," + ",".join(["AA"] * 12) + ",\n"
     assert rows(whole(written(tmp_path, text, "a.csv"))) == [(1000, 5, FD, "0", 12, b"\xaa" * 12)]
     with pytest.raises(LogError, match="line 2: not a valid frame"):  # its other bytes are missing
         whole(written(tmp_path, text.replace(",AA,AA,AA,AA,\n", ",\n"), "a.csv"))
 
 
-def test_written_for_savvycan(tmp_path: Path) -> None:
+def test_written_for_savvycan(tmp_path):
     source = by_python_can(tmp_path / "a.log", plain(200))
     write_log(read_log(source), tmp_path / "b.csv")
     again, first = whole(tmp_path / "b.csv"), whole(source)
@@ -126,12 +123,12 @@ def test_written_for_savvycan(tmp_path: Path) -> None:
         ("Extended,Dir", "Data", "must be SavvyCAN's Time Stamp,ID,Extended,Dir,Bus,LEN,D1"),
     ],
 )
-def test_what_is_no_savvycan_log(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_what_is_no_savvycan_log(tmp_path, old, new, said):
     with pytest.raises(LogError, match=said):
         whole(written(tmp_path, GVRET.replace(old, new, 1), "a.csv"))
 
 
-def test_a_busmaster_log(tmp_path: Path) -> None:
+def test_a_busmaster_log(tmp_path):
     path = written(tmp_path, busmaster())
     assert content_format(path).key == "BUSMASTER"
     log = read_log(path)
@@ -147,7 +144,7 @@ def test_a_busmaster_log(tmp_path: Path) -> None:
     assert log.notice is None
 
 
-def test_sessions_in_a_row_have_dates_bases_and_modes_of_their_own(tmp_path: Path) -> None:
+def test_sessions_in_a_row_have_dates_bases_and_modes_of_their_own(tmp_path):
     text = busmaster() + "\n" + busmaster("DEC", "ABSOLUTE", BUSMASTER_DEC, 21)
     path = written(tmp_path, text)
     first, second = (round(datetime(2013, 11, day).timestamp()) * 10**9 for day in (20, 21))
@@ -159,7 +156,7 @@ def test_sessions_in_a_row_have_dates_bases_and_modes_of_their_own(tmp_path: Pat
         assert log.start_ns == first + (14 * 3600 + 19 * 60 + 9) * 10**9 + 538_000_000
 
 
-def test_long_frames_of_a_busmaster_log_are_can_fd(tmp_path: Path) -> None:
+def test_long_frames_of_a_busmaster_log_are_can_fd(tmp_path):
     frame = "00:00:00:0001 Rx 1 0x001 s 12 " + "AB " * 12
     found = whole(written(tmp_path, busmaster(frames=BUSMASTER_HEX + frame)))
     assert rows(found)[-1][1:] == (1, FD, "1", 12, b"\xab" * 12)
@@ -185,6 +182,6 @@ def test_long_frames_of_a_busmaster_log_are_can_fd(tmp_path: Path) -> None:
         (" FF ", " FFF ", "line 12: not a valid frame"),
     ],
 )
-def test_what_is_no_busmaster_log(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_what_is_no_busmaster_log(tmp_path, old, new, said):
     with pytest.raises(LogError, match=said):
         whole(written(tmp_path, busmaster().replace(old, new, 1)))

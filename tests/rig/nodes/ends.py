@@ -1,7 +1,5 @@
 """Both nodes in lockstep without a bus between them, for the tests of either."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from functools import partial

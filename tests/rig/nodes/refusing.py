@@ -1,7 +1,5 @@
 """A bus that refuses to send and to receive."""
 
-from __future__ import annotations
-
 import errno
 
 import can

@@ -1,7 +1,5 @@
 """Runs of two processes as tests see them from outside: their log, their nodes, their folder."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

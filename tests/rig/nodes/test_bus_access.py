@@ -1,7 +1,5 @@
 """A bus that refuses or is full of foreign frames: the node's wait and its error line."""
 
-from __future__ import annotations
-
 import errno
 import signal
 from collections import Counter
@@ -24,14 +22,12 @@ from tests.rig.nodes.refusing import FRAME, Refusing
 
 
 @pytest.fixture
-def clock() -> TurnedClock:
+def clock():
     return TurnedClock()
 
 
 @pytest.mark.parametrize("times", [0, 1, 30])
-def test_a_refused_frame_is_sent_once_as_soon_as_there_is_room(
-    times: int, clock: TurnedClock
-) -> None:
+def test_a_refused_frame_is_sent_once_as_soon_as_there_is_room(times, clock):
     with Refusing(clock, times) as bus:
         send = PersistentSender(bus, 10.0, clock)
         send(FRAME)
@@ -49,7 +45,7 @@ def test_a_refused_frame_is_sent_once_as_soon_as_there_is_room(
         (None, "Failed to transmit: no"),
     ],
 )
-def test_the_bound_and_the_line(code: int | None, expected: str, clock: TurnedClock) -> None:
+def test_the_bound_and_the_line(code, expected, clock):
     with Refusing(clock, 10**9, code) as bus, pytest.raises(BusLostError) as caught:
         PersistentSender(bus, 0.05, clock)(FRAME)
     assert str(caught.value).startswith(f"socketcan channel 'can9': {expected}")
@@ -58,7 +54,7 @@ def test_the_bound_and_the_line(code: int | None, expected: str, clock: TurnedCl
     assert bus.sent == []
 
 
-def test_the_line_says_what_is_wrong_now(clock: TurnedClock) -> None:
+def test_the_line_says_what_is_wrong_now(clock):
     """Not what was wrong at first: what has passed needs no remedy."""
 
     class Falling(Refusing):
@@ -70,7 +66,7 @@ def test_the_line_says_what_is_wrong_now(clock: TurnedClock) -> None:
         PersistentSender(bus, 0.05, clock)(FRAME)
 
 
-def test_in_real_time_a_refused_frame_is_counted_and_not_sent(clock: TurnedClock) -> None:
+def test_in_real_time_a_refused_frame_is_counted_and_not_sent(clock):
     """A repeated frame would arrive in a wrong tick."""
     with Refusing(clock, 2) as bus:
         tolerant = TolerantBus(bus, clock)
@@ -85,8 +81,8 @@ def test_in_real_time_a_refused_frame_is_counted_and_not_sent(clock: TurnedClock
     ("timeout_s", "paused_ns"), [(None, 0), (0.0, 0), (0.0004, 400_000), (5.0, 1_000_000)]
 )
 def test_in_real_time_a_receive_error_is_counted_and_costs_no_more_than_the_timeout(
-    timeout_s: float | None, paused_ns: int, clock: TurnedClock
-) -> None:
+    timeout_s, paused_ns, clock
+):
     with Refusing(clock, 2) as bus:
         bus.sent.append(FRAME)
         tolerant = TolerantBus(bus, clock)
@@ -97,7 +93,7 @@ def test_in_real_time_a_receive_error_is_counted_and_costs_no_more_than_the_time
         assert tolerant.recv(timeout_s) is FRAME
 
 
-def test_the_timeout_is_the_bus_s(clock: TurnedClock) -> None:
+def test_the_timeout_is_the_bus_s(clock):
     with Refusing(clock, 0) as bus:
         assert TolerantBus(bus, clock).recv(0.25) is None
     assert clock.now_s == pytest.approx(0.25)
@@ -110,7 +106,7 @@ class Losing:
         self.lost_frames = lost_frames
 
 
-def test_the_events_of_a_bus_are_all_that_occurred(clock: TurnedClock) -> None:
+def test_the_events_of_a_bus_are_all_that_occurred(clock):
     sending, receiving = Counter({"full": 2, "down": 1}), Counter({"down": 4, "never": 0})
     assert bus_events("plant", Losing(3), sending, receiving) == {
         "plant": {"full": 2, "down": 5, "frames dropped unread": 3}

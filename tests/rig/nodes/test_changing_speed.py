@@ -1,9 +1,6 @@
 """A car whose speed changes, on the bus: its frame, what the controller makes of it, its log."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from pathlib import Path
 
 import can
 import numpy as np
@@ -28,7 +25,7 @@ from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import speeds_at_ticks
 from firmware_model.firmware import PYTHON_LAW
-from tests.helpers import asked, decoded, rig
+from tests.helpers import asked, decoded
 
 DRIVE = (
     "duration_s=0.6",
@@ -45,13 +42,13 @@ QUICK = ("--in-process", "--allow-unstable")  # nothing is looked at before the 
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(tmp_path_factory):
     path = tmp_path_factory.mktemp("drive") / "bus.log"
     run_in_process(SCENARIO, "virtual:drive", path, StopRequest(), lambda tick: None, PYTHON)
     return path
 
 
-def test_the_speed_is_the_first_frame_of_every_tick(log: Path) -> None:
+def test_the_speed_is_the_first_frame_of_every_tick(log):
     (frames,) = read_log(log)
     assert NETWORK.speed is not None
     identifiers = frames.arbitration_id.reshape(-1, FRAMES)
@@ -62,7 +59,7 @@ def test_the_speed_is_the_first_frame_of_every_tick(log: Path) -> None:
     assert network_of(load("default")).speed is None
 
 
-def test_signals_have_it_and_replay_knows_it(log: Path) -> None:
+def test_signals_have_it_and_replay_knows_it(log):
     signals = read_signals(log, NETWORK, SCENARIO.tick_s)
     assert signals.plant["speed_mps"].tolist() == speeds_at_ticks(SCENARIO).tolist()
     loop = OpenLoop(SCENARIO, NETWORK)
@@ -74,7 +71,7 @@ def test_signals_have_it_and_replay_knows_it(log: Path) -> None:
     assert not other.comparison.identical
 
 
-def test_report_and_panel_show_it(log: Path) -> None:
+def test_report_and_panel_show_it(log):
     signals = read_signals(log, NETWORK, SCENARIO.tick_s)
     speed = panels(SCENARIO, NETWORK, signals)[-1]
     curve, values = speed.curves[0]
@@ -92,7 +89,7 @@ def test_report_and_panel_show_it(log: Path) -> None:
     assert live.lamps.speed_mps == pytest.approx(13.0)
 
 
-def test_the_law_in_c_and_the_loop_without_a_bus_leave_the_same(log: Path, tmp_path: Path) -> None:
+def test_the_law_in_c_and_the_loop_without_a_bus_leave_the_same(log, tmp_path):
     law = controller_of("c", SCENARIO)
     whole = controller_of("ecu", SCENARIO)  # the node in C, with its receive rules
     own = tmp_path / "ecu.log"
@@ -108,7 +105,7 @@ def test_the_law_in_c_and_the_loop_without_a_bus_leave_the_same(log: Path, tmp_p
     )
 
 
-def test_a_replay_says_which_frames_of_the_speed_are_missing(log: Path) -> None:
+def test_a_replay_says_which_frames_of_the_speed_are_missing(log):
     (frames,) = read_log(log)
     at = 100 * FRAMES
     keep = np.ones(len(frames), dtype=np.bool_)
@@ -146,7 +143,7 @@ def commands(change: Change, ticks: range) -> tuple[list[bytes], ControllerNode]
     return sent, node
 
 
-def test_the_controller_is_told_every_intact_speed_the_first_too() -> None:
+def test_the_controller_is_told_every_intact_speed_the_first_too():
     heard: list[float] = []
 
     class Listening(OurLaw):
@@ -167,7 +164,7 @@ def test_the_controller_is_told_every_intact_speed_the_first_too() -> None:
     np.testing.assert_array_equal(heard, [8.0, 9.0, np.nan, 11.0])
 
 
-def test_without_a_good_frame_the_last_speed_is_held() -> None:
+def test_without_a_good_frame_the_last_speed_is_held():
     whole, node = commands(lambda message: message, range(30))
     assert node.rejected()["VEHICLE_SPEED"] == {}
     missing, node = commands(lambda message: None, range(10, 20))
@@ -179,7 +176,7 @@ def test_without_a_good_frame_the_last_speed_is_held() -> None:
     assert whole[30:60] != missing[30:60]
 
 
-def test_a_node_of_one_speed_and_a_node_of_many_differ_only_where_the_speed_does() -> None:
+def test_a_node_of_one_speed_and_a_node_of_many_differ_only_where_the_speed_does():
     """At the speed of a design the blended table is that design, to rounding.
 
     The whitener of a disturbance alone stays that of the slowest design.
@@ -192,7 +189,7 @@ def test_a_node_of_one_speed_and_a_node_of_many_differ_only_where_the_speed_does
     np.testing.assert_allclose(ours.command_1, theirs.command_1, atol=2e-2)
 
 
-def test_what_if_repeats_a_drive(tmp_path: Path) -> None:
+def test_what_if_repeats_a_drive(tmp_path):
     folder = tmp_path / "run"
     settings = [f"--set={each}" for each in DRIVE]
     assert asked("run", "default", *settings, *QUICK, "--out", folder).returncode == 0
@@ -206,9 +203,9 @@ def test_what_if_repeats_a_drive(tmp_path: Path) -> None:
     assert "VehicleSpeed" in (tmp_path / "decoded.csv").read_text().splitlines()[0]
 
 
-def test_a_drive_by_the_wall_clock(tmp_path: Path) -> None:
+def test_a_drive_by_the_wall_clock(tmp_path):
     settings = [f"--set={each}" for each in (*DRIVE, "tick_s=0.005", "latency_ticks=2")]
-    done = rig("run", "default", *settings, "--realtime", "--out", tmp_path / "run")
+    done = asked("run", "default", *settings, "--realtime", "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
     assert "VEHICLE_SPEED" not in done.stderr
     assert len((tmp_path / "run" / "signals.csv").read_text().splitlines()) == 121

@@ -1,7 +1,5 @@
 """The bus side of a controller node in C: frames in and frames out."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import can
@@ -56,7 +54,7 @@ def frame(number: int = FEEDBACK, **kind: Any) -> can.Message:
     return can.Message(arbitration_id=number, data=b"12345678", **{"is_extended_id": False, **kind})
 
 
-def test_a_feedback_is_answered_with_what_the_program_sends() -> None:
+def test_a_feedback_is_answered_with_what_the_program_sends():
     node, program, sent = node_of()
     assert (node.ticks, node.tick) == (TICKS, 0)
     assert node.take(frame(REFERENCE)) is False
@@ -80,7 +78,7 @@ def test_a_feedback_is_answered_with_what_the_program_sends() -> None:
     ],
     ids=["extended", "remote", "error", "another", "a command"],
 )
-def test_other_frames_do_not_reach_it(other: can.Message) -> None:
+def test_other_frames_do_not_reach_it(other):
     node, program, sent = node_of()
     assert node.take(other) is False
     assert program.taken == sent == []
@@ -88,7 +86,7 @@ def test_other_frames_do_not_reach_it(other: can.Message) -> None:
 
 
 @pytest.mark.parametrize("channel", [0, 1])
-def test_scheduled_faults_reach_the_frames_of_their_channel_and_ticks(channel: int) -> None:
+def test_scheduled_faults_reach_the_frames_of_their_channel_and_ticks(channel):
     name = ("torque", "force-difference")[channel]
     node, _, sent = node_of(
         "fault.kind=frames-missing", "fault.at_s=0.003", "fault.for_s=0.002",
@@ -104,7 +102,7 @@ def test_scheduled_faults_reach_the_frames_of_their_channel_and_ticks(channel: i
     assert numbers == [whole, whole, whole, lost, lost, whole, whole]
 
 
-def test_a_corrupted_frame_has_one_other_byte() -> None:
+def test_a_corrupted_frame_has_one_other_byte():
     node, _, sent = node_of("fault.kind=frames-corrupted", "fault.at_s=0")
     node.take(frame())
     differing = [
@@ -114,7 +112,7 @@ def test_a_corrupted_frame_has_one_other_byte() -> None:
     assert differing == [1, 0, 0]
 
 
-def test_rejected_frames_are_of_the_reference_then_of_the_feedback() -> None:
+def test_rejected_frames_are_of_the_reference_then_of_the_feedback():
     node, _, _ = node_of()
     counts = node.rejected()
     n = len(CheckStatus)
@@ -126,7 +124,7 @@ def test_rejected_frames_are_of_the_reference_then_of_the_feedback() -> None:
     assert counts.keys() == {NETWORK.reference.name, NETWORK.feedback.name}
 
 
-def test_those_of_the_speed_come_last_where_it_is_heard() -> None:
+def test_those_of_the_speed_come_last_where_it_is_heard():
     scenario = load("drive-cycle", ["duration_s=1", "fault.kind=none"])
     network = network_of(scenario)
     counts = EcuNode(scenario, network, list[can.Message]().append, Program(heard=3)).rejected()
@@ -135,13 +133,13 @@ def test_those_of_the_speed_come_last_where_it_is_heard() -> None:
     assert [first - firsts[0] for first in firsts] == [0, len(CheckStatus), 2 * len(CheckStatus)]
 
 
-def test_closing_the_node_ends_the_program() -> None:
+def test_closing_the_node_ends_the_program():
     node, program, _ = node_of()
     node.close()
     assert program.closed == 1
 
 
-def test_what_was_chosen_runs_and_is_ended() -> None:
+def test_what_was_chosen_runs_and_is_ended():
     program = Program()
     application = WholeNode(lambda: program)
     with pytest.raises(RuntimeError), lockstep_controller(
@@ -165,7 +163,7 @@ class Counting(PythonLaw):
         return super().init(table)
 
 
-def test_a_law_of_ours_runs_in_a_node_of_ours() -> None:
+def test_a_law_of_ours_runs_in_a_node_of_ours():
     law = Counting()
     controller = in_node(law)
     with lockstep_controller(HEALTHY, NETWORK, lambda message: None, controller) as node:

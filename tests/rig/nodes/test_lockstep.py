@@ -1,7 +1,5 @@
 """Each node in lockstep: its loop, what it makes of its frames, the plant node's log."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from pathlib import Path
@@ -25,7 +23,7 @@ from tests.rig.nodes.ends import ANSWER, NETWORK, OFFER, SCENARIO, SINE, TICKS, 
 
 
 @pytest.mark.parametrize(("node", "frames"), [("plant", OFFER), ("controller", ANSWER)])
-def test_a_node_sends_its_frames_of_every_tick_and_ends(node: str, frames: list[int]) -> None:
+def test_a_node_sends_its_frames_of_every_tick_and_ends(node, frames):
     ends = Ends()
     assert getattr(ends, f"run_{node}")() == TICKS
     assert ends.ticks == list(range(1, TICKS + 1))
@@ -36,7 +34,7 @@ def test_a_node_sends_its_frames_of_every_tick_and_ends(node: str, frames: list[
 
 
 @pytest.mark.parametrize("node", ["plant", "controller"])
-def test_a_stop_request_ends_a_node_after_the_tick(node: str) -> None:
+def test_a_stop_request_ends_a_node_after_the_tick(node):
     ends = Ends()
     ends.stop_after = 7
     assert getattr(ends, f"run_{node}")() == 7
@@ -44,7 +42,7 @@ def test_a_stop_request_ends_a_node_after_the_tick(node: str) -> None:
     assert tick_on(getattr(ends, f"sent_by_{node}")[-1].data) == 6
 
 
-def test_a_stop_request_ends_a_controller_that_never_waits() -> None:
+def test_a_stop_request_ends_a_controller_that_never_waits():
     """Each feedback comes at once and no reference before it, so nothing but the tick is new."""
     ends = Ends()
     ends.stop_after = 7
@@ -60,7 +58,7 @@ def test_a_stop_request_ends_a_controller_that_never_waits() -> None:
 
 
 @pytest.mark.parametrize("node", ["plant", "controller"])
-def test_a_stop_request_ends_a_node_that_waits(node: str) -> None:
+def test_a_stop_request_ends_a_node_that_waits(node):
     ends = Ends()
     ends.silent_from = 5
     assert getattr(ends, f"run_{node}")() == 5
@@ -71,8 +69,8 @@ def test_a_stop_request_ends_a_node_that_waits(node: str) -> None:
 @pytest.mark.parametrize(("node", "other"), [("plant", "controller"), ("controller", "plant")])
 @pytest.mark.parametrize(("silent_from", "allowed_s"), [(0, 60.0), (3, 1.0)])
 def test_a_silent_partner_is_named_whatever_others_send(
-    node: str, other: str, silent_from: int, allowed_s: float, others: can.Message | None
-) -> None:
+    node, other, silent_from, allowed_s, others
+):
     """Before it was heard first it is waited for, afterwards not."""
     ends = Ends()
     ends.silent_from, ends.stop_when_silent, ends.others = silent_from, False, others
@@ -82,7 +80,7 @@ def test_a_silent_partner_is_named_whatever_others_send(
     assert ends.clock.now_s == pytest.approx(allowed_s, abs=0.1)
 
 
-def test_an_offer_is_repeated_as_it_was() -> None:
+def test_an_offer_is_repeated_as_it_was():
     """A late controller hears the same counters: either copy serves."""
     ends = Ends()
     ends.plant.offer(0)
@@ -98,7 +96,7 @@ def modes(ends: Ends) -> list[str]:
     return [NETWORK.status.modes[NETWORK.status.decode(m.data).mode] for m in statuses]
 
 
-def test_a_missed_tick_is_held_and_answered() -> None:
+def test_a_missed_tick_is_held_and_answered():
     """Whoever knows that the plant went on says so; it is a tick without any input."""
     ends = Ends()
     assert ends.controller.expected is None
@@ -112,7 +110,7 @@ def test_a_missed_tick_is_held_and_answered() -> None:
     assert modes(ends) == ["RUN", "BLIND"]
 
 
-def test_a_reference_of_another_tick_is_not_used() -> None:
+def test_a_reference_of_another_tick_is_not_used():
     """A lost reference is not replaced by the reference of the tick before."""
     ends = Ends()
     ends.plant.offer(0)
@@ -135,7 +133,7 @@ def test_a_reference_of_another_tick_is_not_used() -> None:
     assert ends.controller.rejected() == rejected
 
 
-def test_frames_of_two_ticks_are_no_first_contact() -> None:
+def test_frames_of_two_ticks_are_no_first_contact():
     ends = Ends()
     ends.plant.offer(0)
     reference, _ = ends.offers
@@ -158,7 +156,7 @@ def elsewhere(message: can.Message) -> can.Message:
     return can.Message(arbitration_id=0x700, is_extended_id=False, data=bytes(message.data))
 
 
-def test_only_two_intact_frames_of_their_own_identifiers_are_a_first_contact() -> None:
+def test_only_two_intact_frames_of_their_own_identifiers_are_a_first_contact():
     ends = Ends()
     ends.plant.offer(0)
     reference, feedback = ends.offers
@@ -174,7 +172,7 @@ def test_only_two_intact_frames_of_their_own_identifiers_are_a_first_contact() -
     assert ends.sent_by_controller == []
 
 
-def test_damaged_frames_between_the_intact_pair_delay_no_first_contact() -> None:
+def test_damaged_frames_between_the_intact_pair_delay_no_first_contact():
     ends = Ends()
     ends.plant.offer(0)
     reference, feedback = ends.offers
@@ -200,7 +198,7 @@ class Recorded:
         self.sent.append((tick, commands))
 
 
-def test_a_replay_holds_where_the_recorded_controller_did_not_answer() -> None:
+def test_a_replay_holds_where_the_recorded_controller_did_not_answer():
     ends, actuation = Ends(), Recorded(3)
     ends.controller = ControllerNode(SCENARIO, NETWORK, ends.from_controller, PYTHON, actuation)
     ends.silent_from = 6
@@ -219,7 +217,7 @@ def values_of(codec: MessageCodec, messages: list[can.Message]) -> list[float]:
 
 
 @pytest.mark.parametrize("channel", [0, 1])
-def test_the_plant_takes_the_commands_of_each_tick_and_counts_those_it_misses(channel: int) -> None:
+def test_the_plant_takes_the_commands_of_each_tick_and_counts_those_it_misses(channel):
     """Commands arrive before the status; a missing command counts for its tick."""
     ends = Ends()
     ends.plant = PlantNode(SINE, NETWORK, ends.from_plant)
@@ -248,7 +246,7 @@ def test_the_plant_takes_the_commands_of_each_tick_and_counts_those_it_misses(ch
     assert ends.plant.rejected() == counts
 
 
-def test_a_command_that_is_not_available_is_none() -> None:
+def test_a_command_that_is_not_available_is_none():
     ends = Ends()
     ends.plant = PlantNode(SINE, NETWORK, ends.from_plant)
     for codec in (NETWORK.command_1, NETWORK.command_2):
@@ -261,13 +259,13 @@ def test_a_command_that_is_not_available_is_none() -> None:
     assert values_of(NETWORK.feedback, ends.sent_by_plant) == [0.0, 0.0]
 
 
-def test_frames_without_a_tick_are_refused() -> None:
+def test_frames_without_a_tick_are_refused():
     network: Any = SimpleNamespace(has_ticks=False)
     with pytest.raises(ScenarioError, match=r"network\.tick: must name the signal"):
         PlantNode(SCENARIO, network, lambda message: None)
 
 
-def test_each_tick_begins_in_the_log_at_its_own_time(tmp_path: Path) -> None:
+def test_each_tick_begins_in_the_log_at_its_own_time(tmp_path):
     path = tmp_path / "a.log"
     with Recorder(path, SCENARIO.tick_ns) as recorder:
         node = PlantNode(SCENARIO, NETWORK, lambda message: None, recorder)
@@ -328,18 +326,18 @@ def after_a_tick_among_others(recorder: Recorder) -> PlantNode:
     return node
 
 
-def test_what_others_sent_by_the_end_is_in_the_log_and_nothing_later(tmp_path: Path) -> None:
+def test_what_others_sent_by_the_end_is_in_the_log_and_nothing_later(tmp_path):
     found, took_s = rest_of(tmp_path / "a.log", [4.0, 4.9, 5.0, 5.001, 4.5])
     assert found == 3
     assert took_s == pytest.approx(4 * QUIET_S / 4)
 
 
-def test_a_quiet_or_a_failing_bus_ends_the_wait(tmp_path: Path) -> None:
+def test_a_quiet_or_a_failing_bus_ends_the_wait(tmp_path):
     assert rest_of(tmp_path / "a.log", [4.0]) == (1, pytest.approx(1.25 * QUIET_S))
     assert rest_of(tmp_path / "b.log", [4.0], error=True) == (1, pytest.approx(0.25 * QUIET_S))
 
 
-def test_among_others_the_wait_is_longer(tmp_path: Path) -> None:
+def test_among_others_the_wait_is_longer(tmp_path):
     """Before the end one of them sent, so a frame of the run may still wait to be sent."""
     clock = TurnedClock(5_000_000_000)
     with Recorder(tmp_path / "a.log", SCENARIO.tick_ns) as recorder:
@@ -348,19 +346,19 @@ def test_among_others_the_wait_is_longer(tmp_path: Path) -> None:
     assert clock.now_s - 5.0 == pytest.approx(QUIET_AMONG_OTHERS_S)
 
 
-def test_a_bus_whose_stamps_say_nothing_is_not_read_for_ever(tmp_path: Path) -> None:
+def test_a_bus_whose_stamps_say_nothing_is_not_read_for_ever(tmp_path):
     found, took_s = rest_of(tmp_path / "a.log", [0.0] * 3000)
     assert took_s == pytest.approx(UNREAD_S)
     assert found == UNREAD_S / (QUIET_S / 4)
 
 
-def test_without_a_log_nothing_is_read() -> None:
+def test_without_a_log_nothing_is_read():
     clock = TurnedClock()
     PlantNode(SCENARIO, NETWORK, lambda message: None).record_the_rest(Late(clock, [0.0]), clock)
     assert clock.ns == 0
 
 
-def test_every_frame_of_a_tick_is_in_the_log_with_who_sent_it(tmp_path: Path) -> None:
+def test_every_frame_of_a_tick_is_in_the_log_with_who_sent_it(tmp_path):
     """Foreign frames too, useless to the rig."""
     path = tmp_path / "a.log"
     with Recorder(path, SCENARIO.tick_ns) as recorder:

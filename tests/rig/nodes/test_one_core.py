@@ -1,7 +1,5 @@
 """The processor of nodes in lockstep: one core while they run, and afterwards all as before."""
 
-from __future__ import annotations
-
 import gc
 import os
 
@@ -32,9 +30,7 @@ class System:
 
 
 @pytest.mark.parametrize(("pid", "core"), [(30, 2), (31, 5), (32, 9), (33, 2)])
-def test_runs_side_by_side_get_different_cores(
-    pid: int, core: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_side_by_side_get_different_cores(pid, core, monkeypatch):
     system = System(monkeypatch)
     monkeypatch.setattr(os, "getpid", lambda: pid)
     with pytest.raises(ZeroDivisionError), one_core():
@@ -50,9 +46,7 @@ def test_runs_side_by_side_get_different_cores(
     ]
 
 
-def test_where_the_system_has_no_such_calls_nothing_is_done(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_where_the_system_has_no_such_calls_nothing_is_done(monkeypatch):
     system = System(monkeypatch)
     monkeypatch.delattr(os, "sched_setaffinity")
     with one_core():
@@ -60,7 +54,7 @@ def test_where_the_system_has_no_such_calls_nothing_is_done(
     assert system.told == []
 
 
-def test_what_takes_long_happens_without_the_priority(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_takes_long_happens_without_the_priority(monkeypatch):
     """Another node of the same core would wait meanwhile: 59 ms without commands, once."""
     seen: list[object] = []
     monkeypatch.setattr(gc, "collect", lambda: seen.append("searched"))

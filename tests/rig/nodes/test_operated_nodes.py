@@ -1,7 +1,5 @@
 """Faults of frames injected into two nodes on a bus: the log says what a scenario would say."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time
@@ -105,18 +103,18 @@ def sent(log: Path) -> list[str]:
     return [frame for frame in said if not frame.startswith("71")]
 
 
-def test_frames_fail_at_both_nodes_from_the_same_tick_on(tmp_path: Path) -> None:
+def test_frames_fail_at_both_nodes_from_the_same_tick_on(tmp_path):
     frames_fail_as_in_a_scenario(f"local:{os.getpid()}-operated", tmp_path)
 
 
-def test_further_sensors_fail_at_both_nodes_too(tmp_path: Path) -> None:
+def test_further_sensors_fail_at_both_nodes_too(tmp_path):
     bus = f"local:{os.getpid()}-sensors"
     faults = frames_fail_as_in_a_scenario(bus, tmp_path, "cluster", TO_SENSORS)
     assert faults[-1].other == ACCELERATION
     assert faults[1].offset == 0.05
 
 
-def test_a_sensor_that_the_scenario_lacks_does_not_fail(tmp_path: Path) -> None:
+def test_a_sensor_that_the_scenario_lacks_does_not_fail(tmp_path):
     scenario, bus = load("ideal", ["duration_s=0.1", "fault.kind=none"]), f"local:{os.getpid()}-no"
     with two_nodes(scenario, bus, tmp_path / "bus.log"), open_bus(bus) as operator:
         wait_for(operator, operator_frames.identifiers().state)
@@ -126,7 +124,7 @@ def test_a_sensor_that_the_scenario_lacks_does_not_fail(tmp_path: Path) -> None:
 
 
 @pytest.mark.vcan
-def test_on_socketcan_too(tmp_path: Path) -> None:
+def test_on_socketcan_too(tmp_path):
     frames_fail_as_in_a_scenario("socketcan:vcan0", tmp_path)
 
 

@@ -1,7 +1,5 @@
 """Real time on a turned clock: lateness is loss, deadlines are absolute, restarts are smooth."""
 
-from __future__ import annotations
-
 import can
 import numpy as np
 import pytest

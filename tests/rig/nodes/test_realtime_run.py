@@ -12,7 +12,7 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
-from tests.helpers import rig, start
+from tests.helpers import asked, start
 from tests.processes import wait_for
 from tests.rig.nodes.running import LONG, alive, lines_of, one_line, running, summary_of
 
@@ -33,7 +33,7 @@ def finished(tmp_path_factory):
     """Two seconds of the default scenario, the motor lost after one."""
     folder = tmp_path_factory.mktemp("finished") / "run"
     arguments = ["--set", "duration_s=2", "--set", "fault.at_s=1", "--out", folder]
-    return rig("run", "ideal", "--realtime", *arguments), folder
+    return asked("run", "ideal", "--realtime", *arguments), folder
 
 
 def test_every_tick_is_in_the_log_or_counted_as_skipped(finished):

@@ -1,7 +1,5 @@
 """A run without a bus, block after block: files, columns and counts are those of both nodes."""
 
-from __future__ import annotations
-
 import csv
 import os
 from collections.abc import Callable
@@ -44,7 +42,7 @@ CASES = [
 
 
 @pytest.fixture(autouse=True)
-def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def small_blocks(monkeypatch):
     monkeypatch.setattr(in_windows, "BLOCK_TICKS", BLOCK)
     monkeypatch.setattr(in_windows, "WINDOW_TICKS", BLOCK)
 
@@ -72,9 +70,7 @@ def both(scenario: Scenario, folder: Path, last: int = 10**6) -> list[NodeSummar
 
 
 @pytest.mark.parametrize("settings", CASES, ids=lambda settings: settings[0])
-def test_every_block_goes_on_where_the_one_before_ended(
-    settings: list[str], tmp_path: Path
-) -> None:
+def test_every_block_goes_on_where_the_one_before_ended(settings, tmp_path):
     scenario = load("default", [*RUN, *settings])
     ours, theirs = both(scenario, tmp_path)
     assert ours.ticks == theirs.ticks == scenario.ticks
@@ -83,7 +79,7 @@ def test_every_block_goes_on_where_the_one_before_ended(
 
 
 @pytest.mark.parametrize("kind", ["frames-missing", "frames-corrupted"])
-def test_a_stop_ends_it_after_the_block(kind: str, tmp_path: Path) -> None:
+def test_a_stop_ends_it_after_the_block(kind, tmp_path):
     """Frames that would have been lost or damaged later are not counted."""
     scenario = load("default", [*RUN, f"fault.kind={kind}"])
     ours, theirs = both(scenario, tmp_path, 2 * BLOCK)
@@ -93,9 +89,7 @@ def test_a_stop_ends_it_after_the_block(kind: str, tmp_path: Path) -> None:
     assert len((tmp_path / "ours.log").read_text().splitlines()) in {5 * 20, 5 * 20 - 12}
 
 
-def test_it_says_after_each_block_how_far_it_is_and_how_long_it_took(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_says_after_each_block_how_far_it_is_and_how_long_it_took(tmp_path, monkeypatch):
     clock, done = TurnedClock(7_000_000_000), []
     monkeypatch.setattr(without_bus, "timed", partial(timed, clock=clock))
 
@@ -109,7 +103,7 @@ def test_it_says_after_each_block_how_far_it_is_and_how_long_it_took(
     assert (summary.wall_s, summary.ticks_per_s) == (2.0, 17.5)
 
 
-def test_its_columns_are_what_is_in_the_file_of_the_plant(tmp_path: Path) -> None:
+def test_its_columns_are_what_is_in_the_file_of_the_plant(tmp_path):
     scenario = load("default", [*RUN, "fault.kind=actuator-dead", *LAG])
     columns = run_without_bus(scenario, tmp_path / "a.log", *stopped_at(20)).columns
     assert columns is not None
@@ -124,14 +118,14 @@ def test_its_columns_are_what_is_in_the_file_of_the_plant(tmp_path: Path) -> Non
     assert all(len(values) == 20 for values in columns.frames.values())
 
 
-def test_a_plant_of_one_s_own_has_no_columns_but_its_file(tmp_path: Path) -> None:
+def test_a_plant_of_one_s_own_has_no_columns_but_its_file(tmp_path):
     scenario = load("default", [*RUN, "plant.kind=tests.rig.plant.linear:LinearPlant"])
     columns = run_without_bus(scenario, tmp_path / "a.log", *stopped_at(20)).columns
     assert columns is not None
     assert columns.plant is None
 
 
-def test_both_files_are_closed_at_the_end(tmp_path: Path) -> None:
+def test_both_files_are_closed_at_the_end(tmp_path):
     with RunWithoutBus(load("default", RUN), tmp_path / "a.log") as run:
         assert len(open_files(tmp_path)) == 2
         run.carry()

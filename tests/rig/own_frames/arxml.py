@@ -1,7 +1,5 @@
 """A database as AUTOSAR 4.2 has it, which cantools reads and does not write."""
 
-from __future__ import annotations
-
 from cantools.database.can import Database, Message, Signal
 
 HEAD = '<AUTOSAR xmlns="http://autosar.org/schema/r4.0" schemaLocation="AUTOSAR_4-2-2.xsd">'

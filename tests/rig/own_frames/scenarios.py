@@ -1,7 +1,5 @@
 """Scenarios on databases that are not the rig's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 MOTOROLA = Path(__file__).with_name("motorola.dbc")

@@ -1,7 +1,5 @@
 """The user's frames in the exported C: the bits of cantools, the bus log of the node in Python."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import re
@@ -9,7 +7,6 @@ from copy import copy
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import can
 import cantools
@@ -33,7 +30,6 @@ from can_rig.frames.network import Network
 from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import draft
-from firmware_model.law.structs import Precision
 from tests.rig.export.shared import EMULATED, STRICT, frames_in_c, log_from, log_of, run
 from tests.rig.own_frames.scenarios import (
     CALM,
@@ -89,9 +85,9 @@ def dbc_of(lines: list[tuple[str, str]]) -> str:
 @settings(max_examples=10, phases=[Phase.generate])  # each compiles C
 @given(data=st.data(), lines=st.lists(signals(), min_size=5, max_size=5))
 def test_the_bits_are_those_of_cantools(
-    precision: Precision, data: st.DataObject, lines: list[tuple[str, str]],
-    tmp_path_factory: pytest.TempPathFactory,
-) -> None:  # fmt: skip
+    precision, data, lines,
+    tmp_path_factory,
+):  # fmt: skip
     """Both orders, signs, lengths, scales and floats; values on steps, between them and beyond."""
     text, real = dbc_of(lines), np.float32 if precision == "float32" else np.float64
     network = network_from(text, tmp_path_factory.mktemp("own"))
@@ -137,7 +133,7 @@ def test_the_bits_are_those_of_cantools(
             assert packed.raw == message.encode(sent, scaling=False)
 
 
-def test_half_a_step_is_rounded_as_in_python(tmp_path: Path) -> None:
+def test_half_a_step_is_rounded_as_in_python(tmp_path):
     """In single precision, where 1/lsb is whole, but the division of the rig meets no half."""
     text = dbc_of([("48|32@1- (1e-05,0) [0|0]", "")] * 5)
     network = network_from(text, tmp_path)
@@ -159,7 +155,7 @@ FD = [("64|64@1- (1,0) [0|0]", "2"), ("80|24@0- (1e-5,0) [0|0]", ""),
 
 
 @pytest.fixture(scope="module")
-def own(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+def own(tmp_path_factory):
     """Settings of scenarios, by the layout of their frames."""
     path, intel = (tmp_path_factory.mktemp("own") / name for name in ("fd.dbc", "intel.dbc"))
     path.write_text(dbc_of(FD))
@@ -176,9 +172,7 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
 @pytest.mark.parametrize(
     ("layout", "precision"), [("motorola", "float64"), ("intel", "float32"), ("fd", "float64")]
 )
-def test_the_log_is_that_of_the_node_in_python(
-    own: dict[str, list[str]], layout: str, precision: str
-) -> None:
+def test_the_log_is_that_of_the_node_in_python(own, layout, precision):
     words = [*SHORT, *own[layout], f'design.precision="{precision}"']
     if layout != "motorola":
         words += ["fault.kind=frames-corrupted", "fault.for_s=0.1"]
@@ -189,16 +183,14 @@ def test_the_log_is_that_of_the_node_in_python(
 
 @EMULATED
 @pytest.mark.parametrize(("layout", "board"), [("motorola", "m4f"), ("fd", "m7")])
-def test_an_emulated_board_sends_the_same_bytes(
-    own: dict[str, list[str]], layout: str, board: str
-) -> None:
+def test_an_emulated_board_sends_the_same_bytes(own, layout, board):
     words = [*SHORT, *own[layout], 'design.precision="float32"']
     node = controller_of(f"arm:{board}", load("default", words))
     assert log_of("default", words) == log_of("default", words, node)
 
 
 @pytest.mark.parametrize("layout", ["motorola", "intel", "fd", "no tick"])
-def test_any_frames_are_answered_and_judged_alike(own: dict[str, list[str]], layout: str) -> None:
+def test_any_frames_are_answered_and_judged_alike(own, layout):
     """Wrong ticks and lengths, repeated, damaged and missing frames; frames of another kind."""
     scenario = load("default", ["duration_s=1", *own[layout]])
     network = network_of(scenario)
@@ -247,9 +239,7 @@ DEAD = {"kind": "sensor-dead", "at_s": 0.3}
     [("float64", OSCILLATING, HEARD[:2]), ("float32", DEAD, HEARD[2:])],
     ids=["echo", "witness"],
 )
-def test_sensors_are_heard_in_the_units_of_the_database(
-    tmp_path: Path, precision: str, fault: dict[str, Any], others: list[dict[str, Any]]
-) -> None:
+def test_sensors_are_heard_in_the_units_of_the_database(tmp_path, precision, fault, others):
     """A message carries two sensors, one of them mirrored; no sensors, another answer."""
     path = tmp_path / "car.dbc"
     path.write_text(MOTOROLA.read_text().replace("BO_ 1304", f"{SENSORS}BO_ 1304"))
@@ -271,7 +261,7 @@ def test_sensors_are_heard_in_the_units_of_the_database(
 # --- the export ----------------------------------------------------------------------------------
 
 
-def test_an_export_compiles_and_repeats_itself(own: dict[str, list[str]], tmp_path: Path) -> None:
+def test_an_export_compiles_and_repeats_itself(own, tmp_path):
     for layout in ("fd", "no tick"):
         words = [w for word in own[layout] for w in ("--set", word)]
         first, again = tmp_path / f"{layout} 1", tmp_path / f"{layout} 2"
@@ -286,7 +276,7 @@ def test_an_export_compiles_and_repeats_itself(own: dict[str, list[str]], tmp_pa
         run("make", "-s", "-C", first, flags, "example", "bench")
 
 
-def test_a_signal_that_cannot_be_exported_is_one_line(tmp_path: Path) -> None:
+def test_a_signal_that_cannot_be_exported_is_one_line(tmp_path):
     text = dbc_of([("64|16@1- (1,0) [0|0]", "")] * 5)
     path = tmp_path / "own.dbc"
     path.write_text(text + "SIG_VALTYPE_ 771 Value : 1;\n")

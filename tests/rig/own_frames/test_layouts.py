@@ -1,7 +1,5 @@
 """Signals of any layout: the sent bytes are those of cantools."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -49,11 +47,7 @@ def layouts(draw: st.DrawFn) -> tuple[str, float, int, bool]:
 
 @settings(max_examples=60)
 @given(layout=layouts(), values=st.lists(VALUES, min_size=1, max_size=5))
-def test_cantools_reads_what_is_sent(
-    tmp_path_factory: pytest.TempPathFactory,
-    layout: tuple[str, float, int, bool],
-    values: list[float],
-) -> None:
+def test_cantools_reads_what_is_sent(tmp_path_factory, layout, values):
     line, factor, _, _ = layout
     text = database(line, 8)
     codec = network(tmp_path_factory.mktemp("n"), text, tick="Count").command_1
@@ -76,7 +70,7 @@ def test_cantools_reads_what_is_sent(
 
 
 @pytest.mark.parametrize(("bits", "types"), [(32, "1"), (64, "2")])
-def test_floats_have_their_own_not_a_number(tmp_path: Path, bits: int, types: str) -> None:
+def test_floats_have_their_own_not_a_number(tmp_path, bits, types):
     text = database(f"{64}|{bits}@1- (1,0) [0|0]", 16, types=types, fd=True)
     codec = network(tmp_path, text, tick="Count").feedback
     theirs = cantools.database.load_string(text, "dbc")
@@ -92,7 +86,7 @@ def test_floats_have_their_own_not_a_number(tmp_path: Path, bits: int, types: st
             assert record.value == pytest.approx(value, rel=2.0 ** (-24 if bits == 32 else -53))
 
 
-def test_a_frame_takes_the_next_length_of_can_fd(tmp_path: Path) -> None:
+def test_a_frame_takes_the_next_length_of_can_fd(tmp_path):
     text = database("64|16@1- (0.01,0) [0|0]", 10, fd=True, first_id=0x98FF0000)
     codec = network(tmp_path, text, tick="Count").status
     frame = Transmitter(codec).frame(1.0, 5, mode=1, fault_state=2)
@@ -103,7 +97,7 @@ def test_a_frame_takes_the_next_length_of_can_fd(tmp_path: Path) -> None:
     assert Receiver(codec).accept(frame, 5) is None
 
 
-def test_protection_of_any_length_finds_what_is_damaged(tmp_path: Path) -> None:
+def test_protection_of_any_length_finds_what_is_damaged(tmp_path):
     ids = {"reference": 1, "feedback": 2, "command_1": 3, "command_2": 4, "status": 5}
     text = database("64|16@1- (0.01,0) [0|0]", 12, fd=True)
     protected = network(tmp_path, text, tick="Count", data_ids=ids)
@@ -126,7 +120,7 @@ def test_protection_of_any_length_finds_what_is_damaged(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["kcd", "sym"])
-def test_other_databases_are_read_too(tmp_path: Path, kind: str) -> None:
+def test_other_databases_are_read_too(tmp_path, kind):
     theirs = cantools.database.load_file(MOTOROLA)
     text = theirs.as_kcd_string() if kind == "kcd" else theirs.as_sym_string()
     path = tmp_path / f"own.{kind}"
@@ -166,16 +160,14 @@ BAD = {
 
 
 @pytest.mark.parametrize(("value", "roles", "line"), BAD.values(), ids=BAD)
-def test_a_signal_that_cannot_do_is_one_line(
-    tmp_path: Path, value: str, roles: dict[str, object], line: str
-) -> None:
+def test_a_signal_that_cannot_do_is_one_line(tmp_path, value, roles, line):
     with pytest.raises(DbcError) as caught:
         network(tmp_path, database(value, 8), **roles)
     assert line in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_wrong_elsewhere_in_a_database_is_no_matter(tmp_path: Path) -> None:
+def test_what_is_wrong_elsewhere_in_a_database_is_no_matter(tmp_path):
     """Overlapping signals, and an extended identifier without its mark."""
     other = 'BO_ 217056298 Other: 8 B\n SG_ A : 0|9@1+ (1,0) [0|0] "" A\n'
     other += ' SG_ B : 8|9@1+ (1,0) [0|0] "" A\n'
@@ -184,7 +176,7 @@ def test_what_is_wrong_elsewhere_in_a_database_is_no_matter(tmp_path: Path) -> N
     assert with_it == [codec.encode(1.0, 5) for codec in network(tmp_path, text).by_role]
 
 
-def test_the_other_signals_of_a_message_have_their_initial_values() -> None:
+def test_the_other_signals_of_a_message_have_their_initial_values():
     theirs = cantools.database.load_file(MOTOROLA)
     codec = map_network(MOTOROLA, Roles(SIGNALS, "Count")).feedback
     said = theirs.decode_message(codec.frame_id, codec.encode(1.5, 4))
@@ -192,9 +184,7 @@ def test_the_other_signals_of_a_message_have_their_initial_values() -> None:
 
 
 @pytest.mark.parametrize("bits", [0, 3, 4, 8])
-def test_a_status_frame_of_one_s_own_says_the_verdict_where_it_has_room(
-    tmp_path: Path, bits: int
-) -> None:
+def test_a_status_frame_of_one_s_own_says_the_verdict_where_it_has_room(tmp_path, bits):
     text = database("64|16@1- (0.01,0) [0|0]", 12, fd=True)
     last = ' SG_ Fault : 14|2@1+ (1,0) [0|3] "" A\n'
     if bits:
@@ -234,13 +224,13 @@ def arxml_options(path: Path) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def dbc_log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def dbc_log(tmp_path_factory):
     words = [*SHORT, *options(MOTOROLA, SIGNALS)]
     return record(tmp_path_factory.mktemp("dbc"), *words, name="default")[0].read_bytes()
 
 
 @pytest.mark.parametrize("kind", WRITERS)
-def test_the_log_is_that_of_the_dbc(kind: str, dbc_log: bytes, tmp_path: Path) -> None:
+def test_the_log_is_that_of_the_dbc(kind, dbc_log, tmp_path):
     write, encoding = WRITERS[kind]
     path = tmp_path / f"own.{kind}"
     path.write_text(write(cantools.database.load_file(MOTOROLA)), encoding=encoding)
@@ -261,7 +251,7 @@ TICK_KEYS = {
 
 
 @pytest.mark.parametrize(("setting", "line"), TICK_KEYS.items(), ids=TICK_KEYS)
-def test_a_bad_tick_is_one_line(setting: str, line: str, tmp_path: Path) -> None:
+def test_a_bad_tick_is_one_line(setting, line, tmp_path):
     path = tmp_path / "own.arxml"
     path.write_text(as_arxml(cantools.database.load_file(MOTOROLA)))
     with pytest.raises((ScenarioError, DbcError)) as caught:
@@ -270,6 +260,6 @@ def test_a_bad_tick_is_one_line(setting: str, line: str, tmp_path: Path) -> None
     assert "\n" not in str(caught.value)
 
 
-def test_ticks_need_the_signals() -> None:
+def test_ticks_need_the_signals():
     with pytest.raises(ScenarioError, match=r"network\.signals: must be set beside network\.tick"):
         load("default", [f"network.dbc={MOTOROLA}", *(f"network.ticks.{key}=C" for key in TICKS)])

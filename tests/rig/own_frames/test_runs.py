@@ -1,7 +1,5 @@
 """The whole rig on the user's frames: other programs read the rig's values in the log."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -23,7 +21,7 @@ from can_rig.plant.frameless import frameless
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from firmware_model.law.status import FaultState
-from tests.helpers import asked, record, rig
+from tests.helpers import asked, record
 from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database, options
 
 DRIVE = ["duration_s=1.5", "fault.at_s=1.0"]
@@ -68,7 +66,7 @@ def require_agreement(log: Path, dbc: Path, names: dict[str, str], signals: Sign
         np.testing.assert_allclose(theirs[role], ours, rtol=1e-7, atol=1e-12, err_msg=role)
 
 
-def test_16_bit_big_endian_without_protection(tmp_path: Path) -> None:
+def test_16_bit_big_endian_without_protection(tmp_path):
     log, signals = run(tmp_path, [*DRIVE, *options(MOTOROLA, SIGNALS)])
     require_agreement(log, MOTOROLA, SIGNALS, signals)
     confirmed = np.flatnonzero(signals.fault_state == FaultState.CONFIRMED)
@@ -80,7 +78,7 @@ def test_16_bit_big_endian_without_protection(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("bits", [0, 16, 32, 64])
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_it_is_the_run_without_frames(bits: int, precision: str, tmp_path: Path) -> None:
+def test_it_is_the_run_without_frames(bits, precision, tmp_path):
     dbc, names = MOTOROLA, SIGNALS
     if bits:
         dbc, names = tmp_path / "floats.dbc", FD_SIGNALS
@@ -97,7 +95,7 @@ def test_it_is_the_run_without_frames(bits: int, precision: str, tmp_path: Path)
     np.testing.assert_array_equal(trace.command_2, signals.force_difference_n)
 
 
-def test_can_fd_with_floats_29_bits_and_protection(tmp_path: Path) -> None:
+def test_can_fd_with_floats_29_bits_and_protection(tmp_path):
     dbc = tmp_path / "fd.dbc"
     dbc.write_text(database("64|32@1- (1,0) [0|0]", 12, 0x98FF0000, types="1", fd=True))
     ids = {"reference": 1, "feedback": 2, "command_1": 3, "command_2": 4, "status": 5}
@@ -107,7 +105,7 @@ def test_can_fd_with_floats_29_bits_and_protection(tmp_path: Path) -> None:
     assert np.abs(signals.error_mps2[-100:]).max() < 0.05
 
 
-def test_a_run_folder_is_replayed_and_decoded_by_its_own_database(tmp_path: Path) -> None:
+def test_a_run_folder_is_replayed_and_decoded_by_its_own_database(tmp_path):
     words = [w for word in [*CHASSIS, *options(MOTOROLA, SIGNALS)] for w in ("--set", word)]
     done = asked("run", "default", *words, "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
@@ -119,14 +117,14 @@ def test_a_run_folder_is_replayed_and_decoded_by_its_own_database(tmp_path: Path
     assert other.returncode == 1 and "MotorTorque" in other.stdout
 
 
-def test_real_time_needs_no_tick(tmp_path: Path) -> None:
+def test_real_time_needs_no_tick(tmp_path):
     words = [w for word in [*CHASSIS, *options(MOTOROLA, SIGNALS, "")] for w in ("--set", word)]
     refused = asked("run", "default", *words, "--out", tmp_path / "lockstep")
     assert refused.returncode == 2
     assert "network.tick: must name the signal that counts the ticks" in refused.stderr
     assert not (tmp_path / "lockstep").exists()
     assert "no network.tick: runs in real time" in asked("bus", "default", *words).stdout
-    done = rig("run", "default", *words, "--realtime", "--out", tmp_path / "run")
+    done = asked("run", "default", *words, "--realtime", "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
     scenario = load("default", [*CHASSIS, *options(MOTOROLA, SIGNALS, "")])
     signals = read_signals(tmp_path / "run" / "bus.log", network_of(scenario), scenario.tick_s)
@@ -169,7 +167,7 @@ def driven(node: RealTimeControllerNode, watchdog: Any) -> int:
 
 
 @pytest.mark.parametrize("tick", ["", "Count"])
-def test_where_frames_have_no_tick_silence_is_the_end(tick: str) -> None:
+def test_where_frames_have_no_tick_silence_is_the_end(tick):
     scenario = load("default", [*CHASSIS, *options(MOTOROLA, SIGNALS, tick)])
     network = network_of(scenario)
 
@@ -189,7 +187,7 @@ def test_where_frames_have_no_tick_silence_is_the_end(tick: str) -> None:
         driven(node(), Heard(frames))
 
 
-def test_check_and_bus_say_what_the_frames_cannot(tmp_path: Path) -> None:
+def test_check_and_bus_say_what_the_frames_cannot(tmp_path):
     words = [*CHASSIS, *options(MOTOROLA, SIGNALS), "limits.torque_nm=9000"]
     settings = [w for word in words for w in ("--set", word)]
     said = " ".join(asked("check", "default", *settings).stdout.split())
@@ -231,14 +229,14 @@ KEYS = {
 
 
 @pytest.mark.parametrize(("setting", "line"), KEYS.items(), ids=KEYS)
-def test_a_bad_key_is_one_line_that_names_it(setting: str, line: str) -> None:
+def test_a_bad_key_is_one_line_that_names_it(setting, line):
     with pytest.raises((ScenarioError, DbcError)) as caught:
         network_of(load("default", [*options(MOTOROLA, SIGNALS), setting]))
     assert line in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_keys_that_need_the_signals_say_so() -> None:
+def test_keys_that_need_the_signals_say_so():
     with pytest.raises(ScenarioError, match=r"network.signals: must be set beside network.tick"):
         load("default", [f"network.dbc={MOTOROLA}", "network.tick=Count"])
     with pytest.raises(DbcError, match=r"no message has RigRole reference"):

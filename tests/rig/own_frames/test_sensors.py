@@ -1,7 +1,5 @@
 """Further sensors on the user's frames: in the database's units, by cantools."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -45,7 +43,7 @@ SENT = {  # message, signal, steps from the rig's unit, period and delay in tick
 
 
 @pytest.fixture(scope="module")
-def dbc(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dbc(tmp_path_factory):
     path = tmp_path_factory.mktemp("dbc") / "car.dbc"
     path.write_text(MOTOROLA.read_text("utf-8").replace("BO_ 1304", f"{OF_A_CAR}\nBO_ 1304"))
     return path
@@ -69,9 +67,7 @@ def ran(chosen: Scenario, out: Path, **options: Any) -> Path:
     return out / "bus.log"
 
 
-def test_sensors_are_sent_in_the_units_of_the_database_and_heard_in_the_rig_s(
-    dbc: Path, tmp_path: Path
-) -> None:
+def test_sensors_are_sent_in_the_units_of_the_database_and_heard_in_the_rig_s(dbc, tmp_path):
     chosen, database = scenario(dbc, ROLES), cantools.database.load_file(dbc)
     log = ran(chosen, tmp_path / "one")
     other = ran(chosen, tmp_path / "two", runner=two_processes)
@@ -103,9 +99,7 @@ def test_sensors_are_sent_in_the_units_of_the_database_and_heard_in_the_rig_s(
     assert max(abs(signals["Angle"]) for _, signals in said) > 2.0
 
 
-def test_two_sensors_of_one_message_share_its_frames_and_their_faults(
-    dbc: Path, tmp_path: Path
-) -> None:
+def test_two_sensors_of_one_message_share_its_frames_and_their_faults(dbc, tmp_path):
     sensors = [{**each, "period_s": 0.02, "phase_s": 0.0} for each in SENSORS[:2]]
     forged = {"kind": "frames-forged", "channel": "yaw-rate", "value": 0.3, "at_s": 0.3}
     missing = {"kind": "frames-missing", "channel": "yaw-rate", "at_s": 0.2, "for_s": 0.1}
@@ -135,7 +129,7 @@ def test_two_sensors_of_one_message_share_its_frames_and_their_faults(
     assert said["YAW_RATE"] == pytest.approx(math.degrees(0.3), abs=0.006)
 
 
-def test_a_sensor_without_validity_sends_not_available(dbc: Path, tmp_path: Path) -> None:
+def test_a_sensor_without_validity_sends_not_available(dbc, tmp_path):
     fault = {"kind": "sensor-invalid", "channel": "yaw-rate", "at_s": 0.2, "for_s": 0.1}
     chosen = scenario(dbc, ROLES, fault=fault)
     log = ran(chosen, tmp_path / "run")
@@ -144,7 +138,7 @@ def test_a_sensor_without_validity_sends_not_available(dbc: Path, tmp_path: Path
     assert [math.isnan(value) for value in yaw] == [10 <= at < 15 for at in range(20)]
 
 
-def test_a_protected_sensor_s_corrupted_frames_are_not_heard(dbc: Path, tmp_path: Path) -> None:
+def test_a_protected_sensor_s_corrupted_frames_are_not_heard(dbc, tmp_path):
     fault = {"kind": "frames-corrupted", "channel": "steering-angle", "at_s": 0.2, "for_s": 0.1}
     network = {"dbc": str(dbc), "tick": "Count", "signals": {**SIGNALS, **ROLES}}
     chosen = scenario(None, {}, fault=fault, network={**network, "data_ids": {"steering_angle": 7}})
@@ -175,7 +169,7 @@ def test_a_protected_sensor_s_corrupted_frames_are_not_heard(dbc: Path, tmp_path
     ],
     ids=lambda each: str(each)[:40],
 )  # fmt: skip
-def test_bad_roles_are_refused_in_one_line(dbc: Path, roles: dict[str, Any], line: str) -> None:
+def test_bad_roles_are_refused_in_one_line(dbc, roles, line):
     with pytest.raises((ScenarioError, DbcError)) as refused:
         network_of(scenario(dbc, {**ROLES, **roles}))
     assert line in str(refused.value) and "\n" not in str(refused.value)

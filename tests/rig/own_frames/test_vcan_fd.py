@@ -1,7 +1,5 @@
 """CAN FD on SocketCAN: a network of one's own on vcan0, candump and cantools beside it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -38,7 +36,7 @@ def bare(line: list[str]) -> str:
     return f"{identifier}##{rest[1:]}"
 
 
-def test_two_nodes_and_what_candump_hears_of_them(tmp_path: Path) -> None:
+def test_two_nodes_and_what_candump_hears_of_them(tmp_path):
     words = fd_options(tmp_path)
     log = tmp_path / "bus.log"
     candump = ("candump", "-l", "-r", 8 << 20, "-n", 5 * TICKS, "vcan0")
@@ -57,7 +55,7 @@ def test_two_nodes_and_what_candump_hears_of_them(tmp_path: Path) -> None:
     assert [len(column) for column in said.values()] == [TICKS] * len(FD_SIGNALS)
 
 
-def test_an_interface_without_can_fd_is_one_line(own_can: str, tmp_path: Path) -> None:
+def test_an_interface_without_can_fd_is_one_line(own_can, tmp_path):
     words = fd_options(tmp_path)
     tool("ip", "link", "set", "down", own_can)
     tool("ip", "link", "set", own_can, "mtu", 16)

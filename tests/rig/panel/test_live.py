@@ -1,7 +1,5 @@
 """What the panel does with frames of a listener that lags."""
 
-from __future__ import annotations
-
 import can
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """A list of faults as settings, as on the command line after ``--set``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 

@@ -9,7 +9,7 @@ from can_rig.assessment.resolve import load
 from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.actuators import FollowedCommand
 from can_rig.plant.behind import LinearBehind, plant_behind
-from can_rig.plant.sensor import FilteredSamples, SensorNoise, noise
+from can_rig.plant.sensor import FilteredSamples, NoiseColumns, noise
 from can_rig.plant.simulated import SimulatedPlant
 from firmware_model.design.actuator_dynamics import Stage
 
@@ -127,7 +127,7 @@ def test_noise_is_as_coloured_as_the_filter_and_has_its_rms_behind_it():
     for lag in (1, 5):
         correlation = np.corrcoef(drawn[lag:], drawn[:-lag])[0, 1]
         assert correlation == pytest.approx(p**lag, abs=0.02)
-    first = [SensorNoise(settings(*(f"seed={s}", *NOISY))).next() for s in range(400)]
+    first = [NoiseColumns.of(settings(*(f"seed={s}", *NOISY))).next(1) for s in range(400)]
     assert np.std(first) == pytest.approx(0.03, rel=0.15)  # from the first tick on
 
 
@@ -164,8 +164,8 @@ def test_samples_late_by_a_part_of_a_step_lie_between_two():
 def test_noise_of_a_run_is_drawn_as_tick_by_tick(rms, lag):
     """White too where the filter remembers next to nothing."""
     scenario = settings("duration_s=0.05", "seed=5", f"plant.sensor.noise_mps2={rms}", *lag)
-    drawn, all_at_once = SensorNoise(scenario), noise(scenario)
-    assert all_at_once.tolist() == [drawn.next() for _ in range(50)]
+    drawn, all_at_once = NoiseColumns.of(scenario), noise(scenario)
+    assert all_at_once.tolist() == [float(drawn.next(1)[0]) for _ in range(50)]
     assert all_at_once.any() == (rms > 0.0)
     if rms and "plant.sensor.corner_hz=40" not in lag:
         white = rms * np.random.Generator(np.random.PCG64(5)).standard_normal(50)
@@ -251,9 +251,7 @@ def behind(*settings: str, tick_s: float = 1e-3) -> Any:
         (EQUAL_LAGS, 6e-3, 12),
     ],
 )
-def test_a_tick_is_one_step_or_as_many_as_are_short(
-    settings: list[str], tick_s: float, steps: int
-) -> None:
+def test_a_tick_is_one_step_or_as_many_as_are_short(settings, tick_s, steps):
     """At most half a millisecond, where anything lags."""
     plant = behind(COUNTING, *settings, tick_s=tick_s)
     before = plant.report(0.0, 0.0, 1.0, 1.0)
@@ -264,7 +262,7 @@ def test_a_tick_is_one_step_or_as_many_as_are_short(
     assert after["longest_s"] == pytest.approx(tick_s / steps)
 
 
-def test_immediate_actuators_and_sensor_leave_a_class_as_it_is() -> None:
+def test_immediate_actuators_and_sensor_leave_a_class_as_it_is():
     """The linear plant as a class, bit for bit; a lost share of a command never arrives."""
     of_class, linear = behind(CLASS), behind()
     draw = np.random.default_rng(2).normal(0.0, [40.0, 1500.0], (40, 2))
@@ -275,6 +273,6 @@ def test_immediate_actuators_and_sensor_leave_a_class_as_it_is() -> None:
         assert of_class.follow(*pair, 0.25, 0.5) == linear.follow(*pair, 0.25, 0.5)
 
 
-def test_the_sensor_is_late_and_the_car_is_not() -> None:
+def test_the_sensor_is_late_and_the_car_is_not():
     plant = behind(COUNTING, "plant.sensor.dead_time_s=0.0015")
     assert [plant.follow(0.0, 0.0, 1.0, 1.0) for _ in range(3)] == [(2, 0), (4, 1), (6, 3)]

@@ -1,11 +1,8 @@
 """The world of a run: its shapes, its windows, and the car in it, in every loop."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -51,8 +48,8 @@ shapes = st.sampled_from(["ramp", "one-minus-cosine"])
     arm_m=st.floats(-2.0, 2.0),
 )
 def test_the_impulse_of_a_gust_is_its_force_by_its_time_less_one_ramp(
-    shape: str, begin: int, ramp: int, flat: int, force_n: float, arm_m: float
-) -> None:
+    shape, begin, ramp, flat, force_n, arm_m
+):
     """At ticks on its corners a straight line between ticks loses nothing of a ramp."""
     made = world(
         "disturbance.kind=gust", f"disturbance.shape={shape}", f"disturbance.at_s={begin / 1e3!r}",
@@ -69,7 +66,7 @@ def test_the_impulse_of_a_gust_is_its_force_by_its_time_less_one_ramp(
 
 
 @pytest.mark.parametrize("shape", ["ramp", "one-minus-cosine"])
-def test_a_flank_is_a_line_or_half_a_cosine(shape: str) -> None:
+def test_a_flank_is_a_line_or_half_a_cosine(shape):
     rows = world(
         "disturbance.kind=steering-kick", "disturbance.torque_nm=8", "disturbance.at_s=1",
         "disturbance.for_s=2", "disturbance.ramp_s=0.4", f"disturbance.shape={shape}",
@@ -79,7 +76,7 @@ def test_a_flank_is_a_line_or_half_a_cosine(shape: str) -> None:
     assert rows[[1100, 2900]] == pytest.approx([quarter, quarter])
 
 
-def test_without_a_ramp_a_cosine_fills_its_time_and_a_line_takes_0_3_s() -> None:
+def test_without_a_ramp_a_cosine_fills_its_time_and_a_line_takes_0_3_s():
     kick = ["disturbance.kind=steering-kick", "disturbance.torque_nm=1", "disturbance.at_s=1"]
     cosine = world(*kick, "disturbance.for_s=2", "disturbance.shape=one-minus-cosine")
     time_s = np.arange(2001) / 1e3
@@ -89,7 +86,7 @@ def test_without_a_ramp_a_cosine_fills_its_time_and_a_line_takes_0_3_s() -> None
     assert line[[1150, 1300, 2999]] == pytest.approx([0.5, 1.0, 1.0])
 
 
-def test_pushes_add_up_and_frictions_multiply() -> None:
+def test_pushes_add_up_and_frictions_multiply():
     rows = world(
         "disturbance=[{kind='friction', at_s=0, front=0.5}, {kind='bank', bank_percent=8}, "
         "{kind='friction', at_s=0, front=0.6, rear=0.4}, {kind='bank', bank_percent=-3},"
@@ -100,7 +97,7 @@ def test_pushes_add_up_and_frictions_multiply() -> None:
 
 
 @pytest.mark.parametrize("speed", [3.0, 25.0])
-def test_turbulence_has_its_rms_and_its_corner_at_every_speed(speed: float) -> None:
+def test_turbulence_has_its_rms_and_its_corner_at_every_speed(speed):
     """Within four standard errors of so many correlated samples."""
     ticks = 400_000
     made = world(TURBULENT, "duration_s=400", f"plant.speed_mps={speed}")
@@ -113,19 +110,19 @@ def test_turbulence_has_its_rms_and_its_corner_at_every_speed(speed: float) -> N
     assert correlated == pytest.approx(memory**lag, abs=4 * error)
 
 
-def test_turbulence_blows_at_the_first_tick_as_later() -> None:
+def test_turbulence_blows_at_the_first_tick_as_later():
     """Over 60 seeds; four standard errors of a mean square are 73 %."""
     first = [world(TURBULENT, f"seed={seed}").at(range(2))[1, FORCE] for seed in range(60)]
     assert np.mean(np.square(first)) == pytest.approx(300.0**2, rel=0.73)
 
 
-def test_turbulence_follows_the_speed_of_a_drive() -> None:
+def test_turbulence_follows_the_speed_of_a_drive():
     """A drive of constant speed gives the bits of that speed; a standing car's wind stays."""
     drive = world(TURBULENT, "drive.speed_mps=10").at(range(9000))
     assert np.abs(drive - world(TURBULENT, "plant.speed_mps=10").at(range(9000))).max() < 1e-9
 
 
-def test_seeds_and_numbers_give_other_turbulence() -> None:
+def test_seeds_and_numbers_give_other_turbulence():
     two = TURBULENT.replace("}]", "}, {kind='none'}]")
     second = TURBULENT.replace("[{", "[{kind='none'}, {")
     found = [world(each).at(range(500))[:, FORCE] for each in (TURBULENT, two, second)]
@@ -145,7 +142,7 @@ DRY = ALL.replace("friction', at_s=0.05, front=0.5, rear=0.8", "none'")
 
 
 @given(st.lists(st.integers(0, 3 * BLOCK), min_size=2, max_size=6))
-def test_windows_are_parts_of_the_whole(cuts: list[int]) -> None:
+def test_windows_are_parts_of_the_whole(cuts):
     """In any order, each from a world that has computed nothing yet or much."""
     whole, used = world(ALL).at(range(3 * BLOCK)), world(ALL)
     for begin, end in pairwise(cuts):
@@ -187,9 +184,7 @@ def recorded(folder: Path, name: str, *settings: str) -> list[tuple[bytes, bytes
         ("chapter-2", [PUSH, "plant.gw={zeros=[-1], poles=[-2, [-1, 3]], gain=4}"]),
     ],
 )
-def test_with_and_without_a_bus_it_is_the_same_world(
-    tmp_path: Path, name: str, settings: list[str]
-) -> None:
+def test_with_and_without_a_bus_it_is_the_same_world(tmp_path, name, settings):
     nodes, columns = recorded(tmp_path, name, *SHORT, *settings)
     assert nodes == columns
     header = nodes[1].splitlines()[0].decode().split(",")
@@ -197,7 +192,7 @@ def test_with_and_without_a_bus_it_is_the_same_world(
 
 
 @pytest.mark.parametrize("settings", [[DRY], [ALL]])
-def test_a_compiled_loop_has_the_bits_of_ticks_one_by_one(settings: list[str]) -> None:
+def test_a_compiled_loop_has_the_bits_of_ticks_one_by_one(settings):
     """Also where the loop stops within a page of the world."""
     scenario = load("default", [*SHORT, "duration_s=9", *settings])
     network = network_of(scenario)
@@ -212,7 +207,7 @@ def test_a_compiled_loop_has_the_bits_of_ticks_one_by_one(settings: list[str]) -
 
 
 @pytest.mark.parametrize("settings", [[DRY], [ALL], [ALL, "drive.speed_mps=10"]])
-def test_the_car_of_a_scenario_is_that_of_the_equations(settings: list[str]) -> None:
+def test_the_car_of_a_scenario_is_that_of_the_equations(settings):
     """Uncontrolled, against the ODE solver with the matrices of ``test_world``'s proof."""
     scenario = load("ideal", [*SHORT, *settings])
     plant, rows = plant_of(scenario), Disturbances(scenario).at(range(151))
@@ -233,7 +228,7 @@ def test_the_car_of_a_scenario_is_that_of_the_equations(settings: list[str]) -> 
     assert [reports[100][name] for name in WORLD_COLUMNS] == rows[100].tolist()
 
 
-def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick() -> None:
+def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick():
     """Behind lags a tick has several steps; without commands a single long step."""
     settings = [ALL, *SHORT, "plant.torque_actuator.lag_s=0.01", "tick_s=0.002"]
     scenario = load("nonlinear-car", settings)
@@ -261,14 +256,14 @@ def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick() -> None:
         ),
     ],
 )
-def test_an_axis_changes_what_a_setting_changes(given: list[str], values: dict[str, Any]) -> None:
+def test_an_axis_changes_what_a_setting_changes(given, values):
     """Campaigns replace settings in a scenario; ``--set`` writes into its text."""
     written = read("default", [*given, *as_settings(values)])
     assert with_values(read("default", given), values) == written
     assert written.scenario.disturbances
 
 
-def test_an_axis_out_of_bounds_is_refused() -> None:
+def test_an_axis_out_of_bounds_is_refused():
     with pytest.raises(ScenarioError, match=r"disturbance.force_n = 1000000.0: must be at m"):
         with_values(read("default", [GUST]), {"disturbance.force_n": 1e6})
 
@@ -327,13 +322,13 @@ def test_an_axis_out_of_bounds_is_refused() -> None:
          r"disturbance.at: unknown key; did you mean at_s\?"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_named_in_one_line(settings: list[str], said: str) -> None:
+def test_what_is_wrong_is_named_in_one_line(settings, said):
     with pytest.raises(ScenarioError, match=said) as caught:
         load("default", settings)
     assert "\n" not in str(caught.value)
 
 
-def test_a_plant_that_nothing_can_push_is_refused() -> None:
+def test_a_plant_that_nothing_can_push_is_refused():
     gust = ["disturbance.kind=gust", "disturbance.force_n=3"]
     push = ["disturbance.kind=push", "disturbance.size=3"]
     with pytest.raises(ScenarioError, match=r"disturbance.kind = 'gust': must be push for plant.k"):
@@ -360,7 +355,7 @@ def test_a_plant_that_nothing_can_push_is_refused() -> None:
         require_world(fmu, load("default", [*gust, "disturbance.arm_m=0.3"]).disturbances)
 
 
-def test_a_disturbance_that_never_occurs_is_noted() -> None:
+def test_a_disturbance_that_never_occurs_is_noted():
     gust = ["disturbance.kind=gust", "disturbance.force_n=3", "disturbance.at_s=50"]
     (note,) = load("default", [*gust, "fault.kind=none"]).notes
     assert note == "note: the disturbance (gust at 50 s) never occurs: the run ends at 20 s"

@@ -1,7 +1,5 @@
 """Faults of frames: the right channel and ticks, no undetected damage, and the fate of a run."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import can
@@ -280,7 +278,7 @@ def answered(scenario: Scenario, ticks: int | None = None) -> Delivery:
 
 
 @pytest.mark.parametrize("first", [1, 7])
-def test_after_a_gap_of_fourteen_the_counter_of_fifteen_stands_where_it_stood(first: int) -> None:
+def test_after_a_gap_of_fourteen_the_counter_of_fifteen_stands_where_it_stood(first):
     """So the first frame that comes again looks like the last that came."""
     found = answered(scenario_of("frames-missing", first, 14))
     assert ticks_without(found.sent[:, 0]) == list(range(first, first + 14))
@@ -289,7 +287,7 @@ def test_after_a_gap_of_fourteen_the_counter_of_fifteen_stands_where_it_stood(fi
 
 
 @pytest.mark.parametrize("ticks", [0, 5, 7, 20])
-def test_the_first_ticks_alone(ticks: int) -> None:
+def test_the_first_ticks_alone(ticks):
     found = answered(scenario_of("frames-missing", 5, 3), ticks)
     lost = len(range(5, min(8, ticks)))
     assert ticks_without(found.sent[:, 0]) == list(range(5, 5 + lost))
@@ -303,7 +301,7 @@ def faults_of(*settings: str) -> Delivery:
 
 
 @pytest.mark.parametrize("order", [(5, 50), (50, 5)])
-def test_two_faults_far_from_each_other_both_count(order: tuple[int, int]) -> None:
+def test_two_faults_far_from_each_other_both_count(order):
     missing = {"kind": "frames-missing", "for_s": 0.003}
     settings = fault_list(*(missing | {"at_s": first / 1000} for first in order))
     assert ticks_without(faults_of(*settings).used[:, 0]) == [*range(5, 8), *range(50, 53)]

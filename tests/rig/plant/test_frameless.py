@@ -1,7 +1,5 @@
 """The loop without frames is the run on a bus, to the last bit of every signal."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import get_args
@@ -106,14 +104,14 @@ def drawn(seed: int, sensed: bool = False) -> list[str]:
     return settings + fault_list(*faults)
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(12))
 def test_any_list_of_faults(seed, tmp_path):
     assert np.isfinite(
         compared(tmp_path, "noisy" if seed % 2 else "ideal", *drawn(seed)).fault_estimate
     ).all()
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(len(KINDS)))
 def test_any_list_of_faults_beside_a_controller_that_hears_the_further_sensors(seed, tmp_path):
     hears = ["controller.kind=tests.rig.nodes.hearing:Hearing", "sensor.1.period_s=0.003"]
     compared(tmp_path, "cluster", *drawn(seed, sensed=True), *hears, "sensor.2.delay_s=0.004")

@@ -1,9 +1,6 @@
 """The monitor in whole runs: silent where a car follows, a bound where a loop swings."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -58,14 +55,14 @@ class SpringyColumn(NonlinearCar):
 
 
 @pytest.mark.parametrize("name", sorted(shipped()))
-def test_no_shipped_scenario_is_stopped(name: str) -> None:
+def test_no_shipped_scenario_is_stopped(name):
     scenario = load_scenario(name, {})
     if scenario.duration_s > LONGEST_S:
         scenario = load_scenario(name, {"duration_s": LONGEST_S})
     assert not np.isin(run_of(scenario).verdict, MONITOR).any()
 
 
-def test_no_weather_stops_a_car_that_follows() -> None:
+def test_no_weather_stops_a_car_that_follows():
     drawn = plan(read_campaign("weather", runs=30, seed=77))
     traces = [run_of(drawn.scenario_of(run)) for run in range(30)]
     stopped = [np.isin(trace.verdict, MONITOR).any() for trace in traces]
@@ -82,9 +79,7 @@ def test_no_weather_stops_a_car_that_follows() -> None:
         ("noisy", {"reference.kind": "step"}, 6.0, 5.4),
     ],
 )
-def test_a_car_on_ice_is_bounded(
-    name: str, changes: dict[str, Any], free: float, bound: float
-) -> None:
+def test_a_car_on_ice_is_bounded(name, changes, free, bound):
     ice = {"kind": "friction", "front": 0.3, "rear": 0.3, "at_s": 6.0}
     with_and_without = [
         run_of(
@@ -98,7 +93,7 @@ def test_a_car_on_ice_is_bounded(
 
 
 @pytest.mark.parametrize("name", ["default", "highway"])
-def test_a_column_that_swings_comes_to_rest(name: str) -> None:
+def test_a_column_that_swings_comes_to_rest(name):
     column = {
         "fault.kind": "none",
         "reference.kind": "sine",

@@ -1,7 +1,5 @@
 """The nonlinear car against an ODE solver, a root finder, bristles and the linear car."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Anybody's plant: found by name, refused in one line, and run as the built-in ones are."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import re

@@ -1,9 +1,5 @@
 """What pushes a plant by numbers, and an FMU, against scipy alone."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy import linalg, signal
@@ -39,7 +35,7 @@ def pushed(scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray]:
     return push, output, reading
 
 
-def test_a_push_passes_the_sensor_s_filter() -> None:
+def test_a_push_passes_the_sensor_s_filter():
     settings = [PUSH, "fault.kind=none", *STATE_SPACE, f"plant.e={E}", "plant.sensor.corner_hz=30"]
     scenario = load("two-masses", [*settings, "design.alpha=3", "design.alpha_q=3"])
     push, _, reading = pushed(scenario)
@@ -53,9 +49,7 @@ def test_a_push_passes_the_sensor_s_filter() -> None:
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 @pytest.mark.parametrize("fmi_type", ["co-simulation", "model-exchange"])
-def test_an_fmu_is_pushed_through_an_input_with_the_mean_of_each_tick(
-    tmp_path: Path, fmi_type: str
-) -> None:
+def test_an_fmu_is_pushed_through_an_input_with_the_mean_of_each_tick(tmp_path, fmi_type):
     fmu = build(tmp_path / "pushed.fmu", 3, A, B, C, e=E)
     names = {"input_1": "u1", "input_2": "u2", "output": "y", "push": "w"}
     scenario = load(

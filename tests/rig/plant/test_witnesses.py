@@ -119,8 +119,14 @@ def test_frames_say_what_an_integration_of_the_equations_gives(tmp_path, disturb
     assert max(abs(said["YawRate"]) for _, said in found["YAW_RATE"]) > 0.01
 
 
-def test_a_run_has_the_same_frames_in_one_process_and_in_two(tmp_path):
-    noisy = scenario(sensor=[{"measures": each["measures"]} for each in SENSORS], duration_s=0.3)
+@pytest.mark.parametrize("chosen", ["healthy", "faulty"])
+def test_a_run_has_the_same_frames_in_one_process_and_in_two(chosen, tmp_path):
+    """Also with every fault of a sensor and of its frames, a tenth of a second each."""
+    sensors = [{"measures": each["measures"]} for each in SENSORS]
+    places = [{"channel": "yaw-rate"} | fault for fault, _ in (*FAULTS, *OF_FRAMES)] + LYING
+    faults = [each | {"at_s": 0.1 * at, "for_s": 0.1} for at, each in enumerate(places)]
+    more = {"fault": faults, "duration_s": 0.1 * len(faults)} if chosen == "faulty" else {}
+    noisy = scenario(**{"sensor": sensors, "duration_s": 0.3, **more})
     one = run(noisy, tmp_path / "one").read_bytes()
     assert run(noisy, tmp_path / "two", runner=two_processes).read_bytes() == one
     assert b"0F1#" in one
@@ -153,7 +159,7 @@ def test_further_sensors_change_no_other_frame(tmp_path):
         assert [signals for _, signals in said] == [signals for _, signals in with_them[name]]
 
 
-FAULTS = [
+FAULTS: list = [
     ({"kind": "sensor-biased", "offset": 0.05}, lambda y, k: y + 0.05),
     ({"kind": "sensor-drift", "drift_per_s": 0.2}, lambda y, k: y + 0.2 * (k - 200) * TICK_S),
     ({"kind": "sensor-dead", "left": 0.25}, lambda y, k: 0.25 * y),
@@ -163,38 +169,57 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(("fault", "expected"), FAULTS, ids=lambda each: str(each)[:24])
-def test_a_fault_of_a_further_sensor_changes_its_frames_and_no_other(tmp_path, fault, expected):
-    sensors = [{**each, "delay_s": 0.0} for each in SENSORS]
-    faulty = {"channel": "yaw-rate", "at_s": 0.2, "for_s": 0.1, **fault}
-    healthy = frames(run(scenario(sensor=sensors), tmp_path / "healthy"))
-    found = frames(run(scenario(sensor=sensors, fault=faulty), tmp_path / "faulty"))
-    again = run(scenario(sensor=sensors, fault=faulty), tmp_path / "two", runner=two_processes)
-    assert again.read_bytes() == (tmp_path / "faulty" / "bus.log").read_bytes()
-    for (time_s, said), (_, other) in zip(healthy["YAW_RATE"], found["YAW_RATE"], strict=True):
-        tick = round(time_s / TICK_S)
-        wanted = expected(said["YawRate"], tick) if 200 <= tick < 300 else said["YawRate"]
-        assert other["YawRate"] == pytest.approx(wanted, abs=1.1e-5, rel=1e-3)
-    for name in healthy.keys() - {"YAW_RATE"}:
-        assert found[name] == healthy[name]
-
-
-EVERY = [
-    {"measures": "yaw-rate", "period_s": 0.01, "phase_s": 0.001, "corner_hz": 0.0, **CALM},
-    {"measures": "steering-angle", "period_s": 0.001, "delay_s": 0.002, **CALM},
-    {"measures": "torque-echo", "period_s": 0.001, **CALM},
+OF_FRAMES: list = [
+    ({"kind": "frames-missing"}, lambda sent, k: []),
+    ({"kind": "frames-repeated"}, lambda sent, k: sent[191] if k % 10 == 1 else []),
+    ({"kind": "frames-late", "late_ticks": 3}, lambda sent, k: sent.get(k - 3, [])),
+]
+LYING = [
+    {"kind": "sensor-lying", "channel": "torque-echo"},
+    {"kind": "sensor-invalid", "channel": "yaw-rate"},
+    {"kind": "sensor-tick-stuck", "channel": "steering-angle"},
+    {"kind": "sensor-swapped", "channel": "yaw-rate", "other": "steering-angle"},
+    {"kind": "frames-forged", "channel": "yaw-rate", "value": 0.5},
 ]
 YAW = cantools.database.load_file(shipped_dbc("steer_by_wire.dbc")).get_message_by_name("YAW_RATE")
 
 
-def with_fault(tmp_path, *faults, **more):
-    """The same bytes in one process and in two; the frames with the faults, and without."""
+def with_fault(out, *faults, corner_hz=0.0):
+    """The log of a drive with these faults, each from 0.2 s to 0.3 s."""
+    sensors = [
+        {"measures": "yaw-rate", "period_s": 0.01, "phase_s": 0.001, "corner_hz": corner_hz},
+        {"measures": "steering-angle", "period_s": 0.001, "delay_s": 0.002},
+        {"measures": "torque-echo", "period_s": 0.001},
+    ]
     several = [{"at_s": 0.2, "for_s": 0.1, **each} for each in faults]
-    chosen = scenario(sensor=EVERY, duration_s=0.4, fault=several, **more)
-    one = run(chosen, tmp_path / "one")
-    assert run(chosen, tmp_path / "two", runner=two_processes).read_bytes() == one.read_bytes()
-    healthy = scenario(sensor=EVERY, duration_s=0.4, fault=[], **more)
-    return one, frames(run(healthy, tmp_path / "healthy"))
+    calm = [{**each, **CALM} for each in sensors]
+    return run(scenario(sensor=calm, duration_s=0.4, fault=several), out)
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory):
+    """The log without a fault."""
+    return with_fault(tmp_path_factory.mktemp("healthy") / "run")
+
+
+@pytest.fixture(scope="module")
+def filtered(tmp_path_factory):
+    """The same with a yaw rate that a filter has smoothed."""
+    return frames(with_fault(tmp_path_factory.mktemp("filtered") / "run", corner_hz=20.0))
+
+
+@pytest.mark.parametrize(("fault", "expected"), FAULTS, ids=lambda each: str(each)[:24])
+def test_a_fault_of_a_further_sensor_changes_its_frames_and_no_other(
+    tmp_path, filtered, fault, expected
+):
+    fault = {"channel": "yaw-rate", **fault}
+    found = frames(with_fault(tmp_path / "faulty", fault, corner_hz=20.0))
+    for (time_s, said), (_, other) in zip(filtered["YAW_RATE"], found["YAW_RATE"], strict=True):
+        tick = round(time_s / TICK_S)
+        wanted = expected(said["YawRate"], tick) if 200 <= tick < 300 else said["YawRate"]
+        assert other["YawRate"] == pytest.approx(wanted, abs=1.1e-5, rel=1e-3)
+    for name in filtered.keys() - {"YAW_RATE"}:
+        assert found[name] == filtered[name]
 
 
 def yaw(log):
@@ -207,9 +232,8 @@ def yaw(log):
 
 
 def test_an_echo_that_lies_says_the_command_while_the_motor_is_dead(tmp_path):
-    dead, lying = {"kind": "actuator-dead"}, {"kind": "sensor-lying", "channel": "torque-echo"}
-    log, _ = with_fault(tmp_path, {**dead, "for_s": None}, lying)
-    found = frames(log)
+    dead, lying = {"kind": "actuator-dead"}, LYING[0]
+    found = frames(with_fault(tmp_path / "run", {**dead, "for_s": None}, lying))
     sent = [said["SteerTorque"] for _, said in found["STEER_TORQUE_CMD"]]
     echo = [said["AppliedTorque"] for _, said in found["STEER_TORQUE_ECHO"]]
     for tick in range(200, 300):
@@ -218,11 +242,13 @@ def test_an_echo_that_lies_says_the_command_while_the_motor_is_dead(tmp_path):
     assert max(map(abs, echo[350:])) < 0.1  # tells the truth again
 
 
-def test_a_frame_whose_validity_is_withdrawn_carries_its_value_and_the_column_is_empty(tmp_path):
-    log, healthy = with_fault(tmp_path, {"kind": "sensor-invalid", "channel": "yaw-rate"})
+def test_a_frame_whose_validity_is_withdrawn_carries_its_value_and_the_column_is_empty(
+    tmp_path, healthy
+):
+    log = with_fault(tmp_path / "run", LYING[1])
     found = frames(log)["YAW_RATE"]
     assert [said["YawRate"] for _, said in found] == [
-        said["YawRate"] for _, said in healthy["YAW_RATE"]
+        said["YawRate"] for _, said in frames(healthy)["YAW_RATE"]
     ]
     hit = [200 <= said["Tick"] < 300 for _, said in found]
     assert [not said["Valid"] for _, said in found] == hit
@@ -231,22 +257,19 @@ def test_a_frame_whose_validity_is_withdrawn_carries_its_value_and_the_column_is
     assert [cells[said["Tick"]] == "" for _, said in found] == hit
 
 
-def test_the_tick_of_a_sample_stands_still_while_its_value_goes_on(tmp_path):
-    fault = {"kind": "sensor-tick-stuck", "channel": "steering-angle"}
-    log, healthy = with_fault(tmp_path, fault)
-    pairs = zip(frames(log)["STEERING_ANGLE"], healthy["STEERING_ANGLE"], strict=True)
+def test_the_tick_of_a_sample_stands_still_while_its_value_goes_on(tmp_path, healthy):
+    logs = (with_fault(tmp_path / "run", LYING[2]), healthy)
+    pairs = zip(*(frames(log)["STEERING_ANGLE"] for log in logs), strict=True)
     for tick, ((_, said), (_, other)) in enumerate(pairs):
         stands = 199 if 200 <= tick < 300 else tick
         assert said["SampleTick"] == (stands - 2) % 4096
         assert said["SteeringAngle"] == other["SteeringAngle"]
 
 
-def test_each_of_two_swapped_sensors_says_what_the_other_reads(tmp_path):
-    fault = {"kind": "sensor-swapped", "channel": "yaw-rate", "other": "steering-angle"}
-    log, healthy = with_fault(tmp_path, fault)
-    found = frames(log)
-    angles = [said["SteeringAngle"] for _, said in healthy["STEERING_ANGLE"]]
-    for (_, said), (_, other) in zip(found["YAW_RATE"], healthy["YAW_RATE"], strict=True):
+def test_each_of_two_swapped_sensors_says_what_the_other_reads(tmp_path, healthy):
+    found, before = frames(with_fault(tmp_path / "run", LYING[3])), frames(healthy)
+    angles = [said["SteeringAngle"] for _, said in before["STEERING_ANGLE"]]
+    for (_, said), (_, other) in zip(found["YAW_RATE"], before["YAW_RATE"], strict=True):
         tick = said["Tick"]
         swapped = 200 <= tick < 300
         # the angle has waited two ticks for its frame, and the yaw rate none
@@ -256,18 +279,10 @@ def test_each_of_two_swapped_sensors_says_what_the_other_reads(tmp_path):
             assert delayed == other["YawRate"]
 
 
-@pytest.mark.parametrize(
-    ("fault", "expected"),
-    [
-        ({"kind": "frames-missing"}, lambda sent, k: []),
-        ({"kind": "frames-repeated"}, lambda sent, k: sent[191] if k % 10 == 1 else []),
-        ({"kind": "frames-late", "late_ticks": 3}, lambda sent, k: sent.get(k - 3, [])),
-    ],
-    ids=lambda each: str(each)[10:24],
-)
-def test_a_fault_of_a_sensor_s_frames_leaves_all_other_frames(tmp_path, fault, expected):
-    log, _ = with_fault(tmp_path, {"channel": "yaw-rate", **fault})
-    sent, found = yaw(tmp_path / "healthy" / "bus.log"), yaw(log)
+@pytest.mark.parametrize(("fault", "expected"), OF_FRAMES, ids=lambda each: str(each)[10:24])
+def test_a_fault_of_a_sensor_s_frames_leaves_all_other_frames(tmp_path, healthy, fault, expected):
+    log = with_fault(tmp_path / "run", {"channel": "yaw-rate", **fault})
+    sent, found = yaw(healthy), yaw(log)
     for tick in range(400):
         whole = sent.get(tick, [])
         wanted = expected(sent, tick) if 200 <= tick < 300 else whole
@@ -276,10 +291,9 @@ def test_a_fault_of_a_sensor_s_frames_leaves_all_other_frames(tmp_path, fault, e
     assert others == list(range(400))
 
 
-def test_a_forged_frame_precedes_the_real_one_and_is_heard_in_its_place(tmp_path):
-    fault = {"kind": "frames-forged", "channel": "yaw-rate", "value": 0.5}
-    log, healthy = with_fault(tmp_path, fault)
-    sent, found = yaw(tmp_path / "healthy" / "bus.log"), yaw(log)
+def test_a_forged_frame_precedes_the_real_one_and_is_heard_in_its_place(tmp_path, healthy):
+    log = with_fault(tmp_path / "run", LYING[4])
+    sent, found = yaw(healthy), yaw(log)
     for tick, whole in sent.items():
         *forged, real = found[tick]
         assert [real] == whole and len(forged) == (200 <= tick < 300)
@@ -288,10 +302,8 @@ def test_a_forged_frame_precedes_the_real_one_and_is_heard_in_its_place(tmp_path
     with (log.parent / "signals.csv").open(encoding="utf-8") as file:
         cells = [row["measured_yaw_rate_rad_per_s"] for row in csv.DictReader(file)]
     assert {cells[tick] for tick in range(201, 300, 10)} == {"0.5"}
-    assert (
-        cells[301]
-        == f"{next(s['YawRate'] for _, s in healthy['YAW_RATE'] if s['Tick'] == 301):.10g}"
-    )
+    (after,) = [s["YawRate"] for _, s in frames(healthy)["YAW_RATE"] if s["Tick"] == 301]
+    assert cells[301] == f"{after:.10g}"
 
 
 BAD_FAULTS = [

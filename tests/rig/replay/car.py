@@ -1,7 +1,5 @@
 """A simulated drive as the log of a car: frames of two buses, jitter, absolute times, a gap."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A short drive, what a bare firmware answers to it, and ways to replay and to damage its log."""
 
-from __future__ import annotations
-
 import math
 import random
 from collections import Counter

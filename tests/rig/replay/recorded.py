@@ -4,8 +4,6 @@ Another processor's linear algebra rounds otherwise, so the constants of one des
 last bits from host to host. With the recorded ones every host must answer with the recorded bits.
 """
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import Any, Final

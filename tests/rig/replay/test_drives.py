@@ -1,7 +1,5 @@
 """The recorded drives: today's firmware answers as it did when they were recorded."""
 
-from __future__ import annotations
-
 import pytest
 
 from can_rig.scenario.fault_settings import CHANNELS
@@ -20,7 +18,7 @@ from tests.rig.replay.recorded import (
 COMMANDS = ("STEER_TORQUE_CMD", "FORCE_DIFF_CMD")
 
 
-def test_every_drive_is_there_and_says_what_it_is_for() -> None:
+def test_every_drive_is_there_and_says_what_it_is_for():
     for ending in (".log.gz", ".constants.npz"):
         assert {path.name.removesuffix(ending) for path in FOLDER.glob(f"*{ending}")} == set(DRIVES)
     assert all(drive["what_for"] for drive in DRIVES.values())
@@ -28,7 +26,7 @@ def test_every_drive_is_there_and_says_what_it_is_for() -> None:
 
 
 @pytest.mark.parametrize("name", DRIVES)
-def test_the_firmware_answers_as_it_did(name: str) -> None:
+def test_the_firmware_answers_as_it_did(name):
     scenario = scenario_of(name)
     loop = replayed(name, scenario, WithRecordedConstants(name))
     fault, comparison = scenario.loss, loop.comparison
@@ -44,11 +42,11 @@ def test_the_firmware_answers_as_it_did(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", DRIVES)
-def test_the_design_gives_the_constants_that_it_gave(name: str) -> None:
+def test_the_design_gives_the_constants_that_it_gave(name):
     assert are_close(designed(scenario_of(name)), recorded(name))
 
 
-def test_other_constants_are_told_from_those_of_another_host() -> None:
+def test_other_constants_are_told_from_those_of_another_host():
     ours, other = recorded("default"), recorded("default")
     other["table"]["tracking"]["filter"]["coefficients"][0] *= 1.0 + 1e-6
     assert are_close(ours, recorded("default"))
@@ -57,6 +55,6 @@ def test_other_constants_are_told_from_those_of_another_host() -> None:
 
 
 @pytest.mark.parametrize("name", ["default", "noisy", "slow-bus", "lane-change"])
-def test_another_firmware_answers_otherwise(name: str) -> None:
+def test_another_firmware_answers_otherwise(name):
     loop = replayed(name, scenario_of(name, "design.tau_q_s=0.02"), PYTHON_LAW)
     assert not loop.comparison.identical

@@ -1,7 +1,5 @@
 """Every defect of a log is named, and no other defect."""
 
-from __future__ import annotations
-
 from collections import Counter
 from copy import deepcopy
 
@@ -27,9 +25,7 @@ from tests.rig.replay.drive import (
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 700))
-def test_dropped_doubled_and_swapped_frames_are_all_listed_and_nothing_else(
-    frames: list[Message], seed: int, chunk: int
-) -> None:
+def test_dropped_doubled_and_swapped_frames_are_all_listed_and_nothing_else(frames, seed, chunk):
     log, wrong = mangled(frames, seed)
     loop, gaps = replay(log, chunk=chunk)
     assert listed(gaps) == wrong
@@ -51,7 +47,7 @@ def test_dropped_doubled_and_swapped_frames_are_all_listed_and_nothing_else(
     assert first is None or first >= min(harmful)
 
 
-def test_a_tick_without_feedback_is_held_and_the_next_goes_on(frames: list[Message]) -> None:
+def test_a_tick_without_feedback_is_held_and_the_next_goes_on(frames):
     deaf = {50, 51, 52, 300}
     log = [f for at, f in enumerate(frames) if not (at % ALL == 1 and at // ALL in deaf)]
     loop, gaps = replay(log)
@@ -70,7 +66,7 @@ def test_a_tick_without_feedback_is_held_and_the_next_goes_on(frames: list[Messa
 
 
 @pytest.mark.parametrize("deaf", [{50}, {50, 51, 52}])
-def test_lost_references_cost_their_own_ticks_only(frames: list[Message], deaf: set[int]) -> None:
+def test_lost_references_cost_their_own_ticks_only(frames, deaf):
     log = [f for at, f in enumerate(frames) if at % ALL or at // ALL not in deaf]
     loop, _ = replay(log)
     expected, theirs = answers(frames, SCENARIO, deaf), logged(frames)
@@ -79,7 +75,7 @@ def test_lost_references_cost_their_own_ticks_only(frames: list[Message], deaf: 
         assert signal.different == len(apart)
 
 
-def test_a_hole_in_the_log_is_no_clock_step(frames: list[Message]) -> None:
+def test_a_hole_in_the_log_is_no_clock_step(frames):
     loop, gaps = replay(frames[: ALL * 100] + frames[ALL * 300 :])
     assert sorted(gap[:1] + gap[2:5] for gap in gaps) == sorted(
         (100, name, "missing", 200) for name in NAMES
@@ -88,9 +84,7 @@ def test_a_hole_in_the_log_is_no_clock_step(frames: list[Message]) -> None:
     assert loop.comparison.without_input == 200
 
 
-def test_answers_lost_on_the_way_to_the_recorder_do_not_fail_silently(
-    frames: list[Message],
-) -> None:
+def test_answers_lost_on_the_way_to_the_recorder_do_not_fail_silently(frames):
     log = [f for at, f in enumerate(frames) if not (at % ALL == 2 and 100 <= at // ALL < 350)]
     loop, gaps = replay(log)
     assert loop.comparison.identical
@@ -102,7 +96,7 @@ def test_answers_lost_on_the_way_to_the_recorder_do_not_fail_silently(
     assert gap[:1] + gap[2:5] == (100, NAMES[2], "missing", 250)
 
 
-def test_a_frame_made_up_does_not_move_time(frames: list[Message]) -> None:
+def test_a_frame_made_up_does_not_move_time(frames):
     sender = Transmitter(NETWORK.feedback)
     for wire_tick in (120, 5000, 40_000):
         stray = sender.frame(1.0, wire_tick)
@@ -116,7 +110,7 @@ def test_a_frame_made_up_does_not_move_time(frames: list[Message]) -> None:
         ] * 2
 
 
-def test_damage_is_named(frames: list[Message]) -> None:
+def test_damage_is_named(frames):
     log = deepcopy(frames)
     log[ALL * 20 + 2].data[5] ^= 4
     log[ALL * 30 + 1].data[5] ^= 4
@@ -137,9 +131,7 @@ def test_damage_is_named(frames: list[Message]) -> None:
 
 
 @pytest.mark.parametrize("step_s", [0.5, -0.25, 3600.0, -3600.0])
-def test_a_clock_that_steps_changes_nothing_and_is_named(
-    frames: list[Message], step_s: float
-) -> None:
+def test_a_clock_that_steps_changes_nothing_and_is_named(frames, step_s):
     log = deepcopy(frames)
     for frame in log[ALL * 150 :]:
         frame.timestamp += step_s + 7200.0
@@ -152,7 +144,7 @@ def test_a_clock_that_steps_changes_nothing_and_is_named(
     assert loop.comparison.identical
 
 
-def test_time_stamps_of_another_pace_are_no_clock_steps(frames: list[Message]) -> None:
+def test_time_stamps_of_another_pace_are_no_clock_steps(frames):
     log = deepcopy(frames)
     for frame in log:
         frame.timestamp = 1.7e9 + frame.timestamp / 12.0  # lockstep, recorded by candump
@@ -160,14 +152,14 @@ def test_time_stamps_of_another_pace_are_no_clock_steps(frames: list[Message]) -
     assert gaps == []
 
 
-def test_a_log_that_begins_late_says_so(frames: list[Message]) -> None:
+def test_a_log_that_begins_late_says_so(frames):
     loop, gaps = replay(frames[ALL * 120 + 3 :])
     assert (loop.first_tick, loop.comparison.ticks) == (121, TICKS - 121)
     assert loop.before_start == 2
     assert gaps == []
 
 
-def test_the_wire_tick_goes_round(frames: list[Message]) -> None:
+def test_the_wire_tick_goes_round(frames):
     """65536 ticks are 16 bits; a drive across the end goes on counting."""
     shifted = []
     senders = [Transmitter(codec) for codec in NETWORK]

@@ -1,7 +1,5 @@
 """A log onto a bus: when each frame is sent, on a clock that the test turns."""
 
-from __future__ import annotations
-
 import json
 import signal
 from fractions import Fraction
@@ -74,7 +72,7 @@ def sent_after(bus: Probe) -> list[int]:
 
 
 @pytest.mark.parametrize("speed", [Fraction(1), Fraction(2), Fraction(1, 2), Fraction(7, 3)])
-def test_hours_do_not_drift(speed: Fraction) -> None:
+def test_hours_do_not_drift(speed):
     """Every frame is late by what the last sleep was too long, never by the sum of them."""
     clock = Oversleeping(oversleep_ns=70_000)
     bus = Probe(clock)
@@ -95,9 +93,7 @@ def test_hours_do_not_drift(speed: Fraction) -> None:
     st.fractions(min_value=Fraction(1, 50), max_value=50),
     st.integers(0, 10**6),
 )
-def test_no_frame_is_early_none_is_lost_and_the_order_stays(
-    times: list[int], speed: Fraction, cost_ns: int
-) -> None:
+def test_no_frame_is_early_none_is_lost_and_the_order_stays(times, speed, cost_ns):
     """Whatever the time stamps: a clock that went back sends at once."""
     clock = Oversleeping()
     bus = Probe(clock, cost_ns)
@@ -111,7 +107,7 @@ def test_no_frame_is_early_none_is_lost_and_the_order_stays(
         reached = after_ns + cost_ns
 
 
-def test_what_others_send_is_taken_off_the_bus() -> None:
+def test_what_others_send_is_taken_off_the_bus():
     class Busy(Oversleeping):
         def sleep_until(self, at_ns: int) -> None:
             super().sleep_until(at_ns)
@@ -123,14 +119,14 @@ def test_what_others_send_is_taken_off_the_bus() -> None:
     assert bus.unread == 10  # of the last sleep, of twenty
 
 
-def test_as_fast_as_possible_never_sleeps() -> None:
+def test_as_fast_as_possible_never_sleeps():
     clock = Oversleeping()
     bus = Probe(clock, 5)
     Pacer(bus, None, StopRequest(), clock).send_all([frames([0, HOUR_NS, 2 * HOUR_NS])])
     assert sent_after(bus) == [0, 5, 10]
 
 
-def test_a_stop_request_ends_it_within_a_moment() -> None:
+def test_a_stop_request_ends_it_within_a_moment():
     stop = StopRequest()
 
     class Stopping(Oversleeping):
@@ -145,7 +141,7 @@ def test_a_stop_request_ends_it_within_a_moment() -> None:
     assert clock.ns < 1.2 * 10**9
 
 
-def test_a_bus_that_refuses_for_a_while_loses_nothing_and_one_that_goes_on_is_named() -> None:
+def test_a_bus_that_refuses_for_a_while_loses_nothing_and_one_that_goes_on_is_named():
     clock = Oversleeping()
     bus = Probe(clock, refuse=20)
     assert Pacer(bus, None, StopRequest(), clock).send_all([frames([0, 1])]).sent == 2
@@ -154,7 +150,7 @@ def test_a_bus_that_refuses_for_a_while_loses_nothing_and_one_that_goes_on_is_na
         Pacer(bus, None, StopRequest(), clock).send_all([frames([0, 1])])
 
 
-def test_what_cannot_be_sent_is_counted() -> None:
+def test_what_cannot_be_sent_is_counted():
     clock = Oversleeping()
     bus = Probe(clock)
     errors = from_messages([Message(is_error_frame=True), Message(arbitration_id=3)])
@@ -168,7 +164,7 @@ def lines(count: int, every_s: float) -> str:
     return "".join(f"({at * every_s:.6f}) can3 18FF{at:04X}#{at:04X}\n" for at in range(count))
 
 
-def test_other_programs_see_the_frames(tmp_path: Path) -> None:
+def test_other_programs_see_the_frames(tmp_path):
     Path("drive.log").write_text(lines(300, 0.0001))
     name = f"local:{tmp_path}/bus"
     with open_bus(name) as listener:
@@ -181,7 +177,7 @@ def test_other_programs_see_the_frames(tmp_path: Path) -> None:
     assert all(m is not None and m.is_extended_id for m in seen)
 
 
-def test_ctrl_c_and_bad_words_are_one_line(tmp_path: Path) -> None:
+def test_ctrl_c_and_bad_words_are_one_line(tmp_path):
     Path("drive.log").write_text(lines(100, 1.0))
     process = start("replay", "drive.log", "--bus", f"local:{tmp_path}/bus")
     with open_bus(f"local:{tmp_path}/bus") as listener:

@@ -1,13 +1,10 @@
 """``--from`` and ``--to`` of replay, in each of its ways, and of diff."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
 
 import pytest
-from can import Message
 
 from can_rig.replaying.what_if import question
 from can_rig.results.source import Source
@@ -20,14 +17,14 @@ PART = ("--from", "0.1", "--to", "0.15")
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("part") / "run"
     done = asked("run", "thesis-sine", *DURATION, "--in-process", "--out", folder)
     assert done.returncode == 0, done.stderr
     return folder
 
 
-def test_a_what_if_reads_its_log_once(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_what_if_reads_its_log_once(run, monkeypatch):
     read: list[Path] = []
     frames = Source.frames
 
@@ -40,7 +37,7 @@ def test_a_what_if_reads_its_log_once(run: Path, monkeypatch: pytest.MonkeyPatch
     assert read == [run / "bus.log"] and len(asked_of.logged) == 300 and asked_of.told == ()
 
 
-def test_from_chooses_the_second_run_of_a_log(run: Path, tmp_path: Path) -> None:
+def test_from_chooses_the_second_run_of_a_log(run, tmp_path):
     log = tmp_path / "two.log"
     first = (run / "bus.log").read_text("ascii")
     log.write_text(first + first.replace("(0.", "(9."), "ascii")
@@ -51,7 +48,7 @@ def test_from_chooses_the_second_run_of_a_log(run: Path, tmp_path: Path) -> None
     assert "300 of 300 ticks compared" in second.stdout
 
 
-def test_the_load_is_that_of_the_scenarios_bit_rate(run: Path) -> None:
+def test_the_load_is_that_of_the_scenarios_bit_rate(run):
     said = asked("stats", run).stdout
     assert "at 1000 kbit/s: at most" in said and "--bitrate" not in said
     assert (
@@ -59,9 +56,7 @@ def test_the_load_is_that_of_the_scenarios_bit_rate(run: Path) -> None:
     )
 
 
-def test_what_is_before_is_replayed_but_not_compared(
-    run: Path, frames: list[Message], tmp_path: Path
-) -> None:
+def test_what_is_before_is_replayed_but_not_compared(run, frames, tmp_path):
     for part, ticks in ((PART, 50), (("--from", "0.1"), 200), (("--to", "0.1"), 100)):
         done = asked("replay", run, *part, "--json")
         result = json.loads(done.stdout)
@@ -79,7 +74,7 @@ def test_what_is_before_is_replayed_but_not_compared(
     assert "could be compared" in beyond.stderr
 
 
-def test_of_a_log_with_two_runs_every_tick_counts(frames: list[Message], tmp_path: Path) -> None:
+def test_of_a_log_with_two_runs_every_tick_counts(frames, tmp_path):
     log = tmp_path / "two.log"
     write_log_of(frames, log)
     log.write_bytes(2 * log.read_bytes())
@@ -88,12 +83,12 @@ def test_of_a_log_with_two_runs_every_tick_counts(frames: list[Message], tmp_pat
     assert "identical, bit for bit: 400 of 800 ticks" in done.stdout
 
 
-def test_a_part_onto_a_bus(run: Path) -> None:
+def test_a_part_onto_a_bus(run):
     done = asked("replay", run, "--bus", "virtual:part", "--speed", "max", *PART, "--json")
     assert json.loads(done.stdout)["sent"] == 250
 
 
-def test_a_part_of_the_reference_through_another_scenario(run: Path, tmp_path: Path) -> None:
+def test_a_part_of_the_reference_through_another_scenario(run, tmp_path):
     done = asked("replay", run, "--what-if", *PART, "--out", tmp_path / "other", "--json")
     assert json.loads(done.stdout)["rows"] == 50
     head, first, *_ = (tmp_path / "other" / "reference.csv").read_text("ascii").splitlines()
@@ -101,7 +96,7 @@ def test_a_part_of_the_reference_through_another_scenario(run: Path, tmp_path: P
     assert first.startswith("0.1,")
 
 
-def test_a_part_of_two_runs_beside_each_other(run: Path) -> None:
+def test_a_part_of_two_runs_beside_each_other(run):
     for other in (run, run / "bus.log", run / "signals.csv"):
         done = asked("diff", run, other, *PART, "--scenario", "thesis-sine", "--json")
         assert (done.returncode, json.loads(done.stdout)["rows"]) == (0, 50)

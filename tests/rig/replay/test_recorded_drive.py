@@ -1,9 +1,6 @@
 """A car's own log through the estimator, against the run that the log was made of."""
 
-from __future__ import annotations
-
 import shlex
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -23,13 +20,11 @@ SENT = {"network.signals.torque": "", "network.signals.command_1": "EPS_REQUEST.
 
 
 @pytest.fixture(scope="module")
-def measured() -> can_rig.ReplayedDrive:
+def measured():
     return can_rig.replay(LOG, CAR)
 
 
-def test_a_dead_motor_shows_in_the_torque_as_sent_but_not_as_measured(
-    measured: can_rig.ReplayedDrive,
-) -> None:
+def test_a_dead_motor_shows_in_the_torque_as_sent_but_not_as_measured(measured):
     sent = can_rig.replay(LOG, CAR, SENT).signals
     before = sent.loc[1.0 : GAP_S[0], "fault_estimate_mps2"].abs().max()
     after = sent.loc[LOSS_S + 0.5 :, "fault_estimate_mps2"].abs().max()
@@ -40,7 +35,7 @@ def test_a_dead_motor_shows_in_the_torque_as_sent_but_not_as_measured(
     assert not (measured.signals["fault_state"] == 2).any()
 
 
-def test_a_lateral_acceleration_of_the_other_direction_is_noted() -> None:
+def test_a_lateral_acceleration_of_the_other_direction_is_noted():
     """No line for the signs as they are."""
     written = [line for line in CAR.read_text("utf-8").splitlines() if "lateral_acc" in line]
     name = written[0].partition('"')[2].rpartition('"')[0]
@@ -54,16 +49,14 @@ def test_a_lateral_acceleration_of_the_other_direction_is_noted() -> None:
         assert ("have opposite signs" in done.stderr) == noted
 
 
-def test_a_gap_is_hold_from_five_periods_on(measured: can_rig.ReplayedDrive) -> None:
+def test_a_gap_is_hold_from_five_periods_on(measured):
     hold = measured.signals.index[measured.signals["mode"] == 2]
     assert hold[0] == pytest.approx(GAP_S[0] - 0.01 + 0.05, abs=0.011)
     assert hold[-1] == pytest.approx(GAP_S[1] - 0.01, abs=0.011)
     assert len(hold) == measured.summary["ticks_blind"] == round((hold[-1] - hold[0]) / 0.01) + 1
 
 
-def test_a_tick_takes_the_last_sample_and_none_of_the_future(
-    measured: can_rig.ReplayedDrive,
-) -> None:
+def test_a_tick_takes_the_last_sample_and_none_of_the_future(measured):
     """Against pandas' asof of the decoded frames."""
     frames = can_rig.decode(LOG, FOLDER / "car.dbc")["EPS_STATUS"]["MotorTorque"]
     start_s = can_rig.decode(LOG, FOLDER / "car.dbc")["MOTION"].index[0]
@@ -74,9 +67,7 @@ def test_a_tick_takes_the_last_sample_and_none_of_the_future(
     np.testing.assert_array_equal(measured.signals["measured_torque_nm"].to_numpy(), expected)
 
 
-def test_csv_parquet_and_mf4_have_the_same_columns(
-    measured: can_rig.ReplayedDrive, tmp_path: Path
-) -> None:
+def test_csv_parquet_and_mf4_have_the_same_columns(measured, tmp_path):
     for suffix in ("csv", "parquet", "mf4", "png"):
         measured.save(tmp_path / f"car.{suffix}")
     csv = pd.read_csv(tmp_path / "car.csv")
@@ -110,12 +101,12 @@ def test_csv_parquet_and_mf4_have_the_same_columns(
         ("torque", "cNm", 0.01),
     ],
 )
-def test_units_as_databases_spell_them(role: str, unit: str, factor: float) -> None:
+def test_units_as_databases_spell_them(role, unit, factor):
     assert unit_factor(ROLES[role], unit, "here") == pytest.approx(factor)
 
 
 @pytest.mark.parametrize(("unit", "said"), [("%", "unit '%'"), ("", "no unit")])
-def test_an_unknown_unit_is_refused_with_those_that_are_known(unit: str, said: str) -> None:
+def test_an_unknown_unit_is_refused_with_those_that_are_known(unit, said):
     with pytest.raises(ScenarioError, match=f"^here: has {said}; must be .* unit = one of nm, "):
         unit_factor(ROLES["torque"], unit, "here")
 
@@ -160,7 +151,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("changes", "said"), BAD)
-def test_bad_signals_are_one_line(changes: dict[str, object], said: str) -> None:
+def test_bad_signals_are_one_line(changes, said):
     with pytest.raises(RigError) as caught:
         can_rig.replay(LOG, CAR, changes)
     assert said in str(caught.value)
@@ -178,7 +169,7 @@ def test_bad_signals_are_one_line(changes: dict[str, object], said: str) -> None
         ({"from_s": 100.0}, "no frame"),
     ],
 )
-def test_bad_options_are_one_line(options: dict[str, object], said: str) -> None:
+def test_bad_options_are_one_line(options, said):
     with pytest.raises(RigError) as caught:
         can_rig.replay(LOG, CAR, **options)  # type: ignore[arg-type]
     assert said in str(caught.value)
@@ -207,14 +198,14 @@ def lines_of(*, back_s: float = 0.0, apart_s: float = 0.0, twice: bool = False) 
         (lines_of(twice=True), "is on buses can0, can2"),
     ],
 )
-def test_logs_that_cannot_serve_are_one_line(log: str, said: str, tmp_path: Path) -> None:
+def test_logs_that_cannot_serve_are_one_line(log, said, tmp_path):
     path = tmp_path / "car.log"
     path.write_text(log)
     with pytest.raises(RigError, match=said):
         can_rig.replay(path, CAR)
 
 
-def test_the_page_runs_as_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_runs_as_printed(tmp_path, monkeypatch):
     page = (FOLDER.parent / "recorded-drives.md").read_text("utf-8")
     (tmp_path / "docs").symlink_to(FOLDER.parent)
     monkeypatch.chdir(tmp_path)

@@ -1,7 +1,5 @@
 """Open loop: an unchanged log shows no difference, and a single change is found."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from dataclasses import replace
@@ -9,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from can import Message
 
 from can_rig.assessment.resolve import load, load_run
 from can_rig.controllers.making import PEER
@@ -39,7 +36,7 @@ from tests.rig.replay.drive import (
 SIGNALS = ("SteerTorque", "ForceDifference", "FaultEstimate", "Mode", "FaultState", "Verdict")
 
 
-def test_a_run_folder_replays_bit_for_bit(tmp_path: Path) -> None:
+def test_a_run_folder_replays_bit_for_bit(tmp_path):
     for name, settings_ in (
         ("default", ()),
         ("noisy", ("fault.kind=sensor-biased",)),
@@ -70,9 +67,7 @@ def test_a_run_folder_replays_bit_for_bit(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change", ["design.tau_s=0.0011", "design.tau_q_s=0.002", "design.alpha_q=3"]
 )
-def test_one_changed_key_names_the_first_tick_and_the_largest_difference(
-    frames: list[Message], change: str
-) -> None:
+def test_one_changed_key_names_the_first_tick_and_the_largest_difference(frames, change):
     other = load("thesis-step", [*SETTINGS, change])
     loop, gaps = replay(frames, other)
     ours, theirs = answers(frames, other), logged(frames)
@@ -100,7 +95,7 @@ def test_one_changed_key_names_the_first_tick_and_the_largest_difference(
 
 
 @pytest.mark.parametrize("role", [2, 3, 4])
-def test_the_last_bit_of_one_answer_is_found(frames: list[Message], role: int) -> None:
+def test_the_last_bit_of_one_answer_is_found(frames, role):
     tick = 211
     loop, gaps = replay(off_by_one_bit(frames, tick, role))
     assert not gaps
@@ -109,14 +104,14 @@ def test_the_last_bit_of_one_answer_is_found(frames: list[Message], role: int) -
     assert signal.largest == pytest.approx(list(NETWORK)[role].lsb)
 
 
-def test_a_log_cut_off_within_a_tick(frames: list[Message]) -> None:
+def test_a_log_cut_off_within_a_tick(frames):
     loop, gaps = replay(frames[: ALL * 300 + 1])
     assert loop.comparison.ticks == 300
     assert listed(gaps) == Counter({(300, name, "missing"): 1 for name in NAMES[1:]})
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".mf4", ".trc", ".csv", ".log.gz"])
-def test_other_formats_replay_alike(drive: Path, tmp_path: Path, suffix: str) -> None:
+def test_other_formats_replay_alike(drive, tmp_path, suffix):
     copy = tmp_path / f"drive{suffix}"
     write_log(read_log(drive), copy)
     loop = OpenLoop(SCENARIO, NETWORK)
@@ -125,13 +120,13 @@ def test_other_formats_replay_alike(drive: Path, tmp_path: Path, suffix: str) ->
     assert loop.comparison.same_bytes == 3 * TICKS
 
 
-def test_a_log_without_the_rig_is_refused(frames: list[Message]) -> None:
+def test_a_log_without_the_rig_is_refused(frames):
     for log in ([], frames[2:5], [frame for at, frame in enumerate(frames) if at % ALL != 1]):
         with pytest.raises(LogError, match="no DSTAR_REFERENCE and DSTAR_FEEDBACK"):
             replay(log)
 
 
-def test_the_command_line_says_what_differs(drive: Path, frames: list[Message]) -> None:
+def test_the_command_line_says_what_differs(drive, frames):
     log, wrong = mangled(frames, 7)
     write_log_of(log, Path("mangled.log"))
     done = asked(
@@ -172,19 +167,19 @@ def test_the_command_line_says_what_differs(drive: Path, frames: list[Message]) 
         assert refused.stderr.count("\n") == 1
 
 
-def test_a_run_brings_its_scenario_and_the_model_follows_the_car() -> None:
+def test_a_run_brings_its_scenario_and_the_model_follows_the_car():
     recorded = load("default", ["model.mass_kg=1500"])
     assert load_run(recorded.as_dict()) == recorded
     changed = load_run(recorded.as_dict(), ["plant.mass_kg=1600", "plant.speed_mps=12"])
     assert (changed.model.mass_kg, changed.model.speed_mps) == (1500.0, 12.0)
 
 
-def test_numbers_of_frames_add_up(frames: list[Message]) -> None:
+def test_numbers_of_frames_add_up(frames):
     assert len(frames) == ALL * TICKS
     np.testing.assert_array_equal(answers(frames, SCENARIO), logged(frames))
 
 
-def test_a_controller_that_hears_further_sensors_gets_their_logged_frames(tmp_path: Path) -> None:
+def test_a_controller_that_hears_further_sensors_gets_their_logged_frames(tmp_path):
     hears = ["controller.kind=tests.rig.nodes.hearing:Hearing", "duration_s=0.3", "fault.at_s=0.1"]
     log, _, scenario = record(tmp_path, *hears, name="cluster")
     network = network_of(scenario)
@@ -202,7 +197,7 @@ LATE = range(120, 126)
 
 
 @pytest.fixture(params=["never answered", "sent too late", "in time"])
-def run(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[World, Path, str]:
+def run(request, tmp_path):
     """A run on a clock that the test turns."""
     scenario = scenario_of("latency_ticks=1", "reference.kind=step", "duration_s=0.3")
     answers = lambda tick: None if tick in LATE else 200_000  # noqa: E731
@@ -220,7 +215,7 @@ def replayed(world: World, log: Path, answers: Recorded | None) -> OpenLoop:
     return loop
 
 
-def test_the_replay_of_a_run_in_real_time_is_that_run(run: tuple[World, Path, str]) -> None:
+def test_the_replay_of_a_run_in_real_time_is_that_run(run):
     world, log, what = run
     answers = recorded(read_log(log), world.network, world.scenario)
     loop = replayed(world, log, answers)

@@ -1,9 +1,6 @@
 """What the tests of results share: a run of both nodes in this process."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
@@ -16,7 +13,7 @@ Run = Callable[..., tuple[Scenario, Signals]]
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
+def run(tmp_path):
     def rig(name: str, *settings: str) -> tuple[Scenario, Signals]:
         log, _, scenario = record(tmp_path, *settings, name=name)
         return scenario, read_signals(log, network_of(scenario), scenario.tick_s)

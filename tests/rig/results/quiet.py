@@ -1,7 +1,5 @@
 """A run in which nothing moves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the actuators applied, reconstructed from a log, moves the plant like the run."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 
@@ -30,9 +28,7 @@ def recorded(folder: Path, *settings: str) -> tuple[Scenario, Signals]:
 @pytest.mark.parametrize(
     "fault", ["none", "actuator-dead", "frames-missing", "frames-corrupted", "sensor-biased"]
 )
-def test_what_was_applied_moves_the_plant_as_the_log_has_it(
-    tmp_path: Path, fault: str, channel: str
-) -> None:
+def test_what_was_applied_moves_the_plant_as_the_log_has_it(tmp_path, fault, channel):
     """By scipy's zero-order hold, which has no part in the rig."""
     of = (f"fault.kind={fault}", f"fault.channel={channel}", "fault.left=0.25")
     scenario, signals = recorded(tmp_path, *LATENCY, *FAULT, *of)
@@ -46,7 +42,7 @@ def test_what_was_applied_moves_the_plant_as_the_log_has_it(
     assert np.abs(signals.dstar_mps2 - 0.1 * biased - expected).max() < 1e-8  # one LSB of D*
 
 
-def test_a_command_that_is_not_on_record_is_held_and_then_zero(tmp_path: Path) -> None:
+def test_a_command_that_is_not_on_record_is_held_and_then_zero(tmp_path):
     scenario, signals = recorded(tmp_path, *FAULT, "fault.kind=frames-missing")
     torque, _ = applied_commands(scenario, signals)
     last = signals.torque_nm[99]
@@ -56,7 +52,7 @@ def test_a_command_that_is_not_on_record_is_held_and_then_zero(tmp_path: Path) -
     assert (torque[200:] == signals.torque_nm[200:]).all()
 
 
-def test_what_acts_at_the_start_of_a_log_that_starts_late_is_not_known(tmp_path: Path) -> None:
+def test_what_acts_at_the_start_of_a_log_that_starts_late_is_not_known(tmp_path):
     scenario, signals = recorded(tmp_path, *LATENCY, *FAULT, "fault.kind=actuator-dead")
     values = {name: getattr(signals, name)[50:] for name in COLUMNS}
     whole, late = applied_commands(scenario, signals), applied_commands(scenario, Signals(**values))

@@ -1,9 +1,5 @@
 """The rig's own run without its fault, to the last bit."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,7 +8,7 @@ from can_rig.results import counterfactual
 from can_rig.results.counterfactual import fault_free, loop_of
 from can_rig.results.metrics import metrics, metrics_of
 from can_rig.results.signals import Signals
-from tests.rig.results.quiet import COLUMNS, Run, quiet
+from tests.rig.results.quiet import COLUMNS, quiet
 
 
 @pytest.mark.parametrize(
@@ -26,9 +22,7 @@ from tests.rig.results.quiet import COLUMNS, Run, quiet
         ("thesis-step", ["plant.mass_kg=1500", "model.mass_kg=1400", "limits.torque_nm=500"]),
     ],
 )
-def test_fault_free_is_the_rig_s_own_run_without_the_fault(
-    run: Run, name: str, settings: list[str]
-) -> None:
+def test_fault_free_is_the_rig_s_own_run_without_the_fault(run, name, settings):
     """Same plant, limits, noise and latency, to the last bit of D*."""
     short = ["duration_s=0.3", "fault.at_s=0.1", *settings]
     _, signals = run(name, *short, "fault.kind=none")
@@ -49,7 +43,7 @@ class Failing:
 """
 
 
-def test_fault_free_ends_where_a_plant_fails_by_itself(tmp_path: Path) -> None:
+def test_fault_free_ends_where_a_plant_fails_by_itself(tmp_path):
     (tmp_path / "breaking_car.py").write_text(FAILING)
     kind = "plant.kind=breaking_car:Failing"
     scenario = load("thesis-step", ["duration_s=0.1", "fault.at_s=0.05", kind])
@@ -62,7 +56,7 @@ def test_fault_free_ends_where_a_plant_fails_by_itself(tmp_path: Path) -> None:
     assert metrics(scenario, quiet(scenario))["deviation_settled_after_fault_mps2"] is None
 
 
-def test_fault_free_of_a_log_that_starts_late() -> None:
+def test_fault_free_of_a_log_that_starts_late():
     scenario = load("thesis-sine", ["duration_s=0.2"])
     signals = quiet(scenario)
     late = Signals(*(getattr(signals, name)[150:] for name in COLUMNS))
@@ -74,9 +68,7 @@ def test_fault_free_of_a_log_that_starts_late() -> None:
 
 
 @pytest.mark.parametrize("kind", ["actuator-dead", "sensor-biased", "frames-missing", "none"])
-def test_it_is_the_run_from_rest_by_every_metric(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_is_the_run_from_rest_by_every_metric(kind, monkeypatch):
     scenario = load("default", ["duration_s=0.3", "fault.at_s=0.2", f"fault.kind={kind}"])
     begun = metrics_of(scenario)
     if kind != "none":

@@ -1,8 +1,6 @@
 """A run folder is whole or not there, the one that it replaces stands until then, and no way of
 failing loses what was recorded."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -50,12 +48,17 @@ class Failing:
 """
 
 
-@pytest.fixture
-def there(tmp_path: Path) -> Path:
-    """A run folder that is to be replaced."""
-    folder = tmp_path / "demo"
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made") / "demo"
     assert execute(SCENARIO, folder, StopRequest()) is not None
     return folder
+
+
+@pytest.fixture
+def there(made, tmp_path):
+    """A run folder that is to be replaced."""
+    return shutil.copytree(made, tmp_path / "demo")
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -81,7 +84,7 @@ def recorded(folder: Path, lines: int, summary: NodeSummary | RigError) -> execu
     return run
 
 
-def test_the_old_run_stands_until_the_new_one_is_whole(there: Path, tmp_path: Path) -> None:
+def test_the_old_run_stands_until_the_new_one_is_whole(there, tmp_path):
     before = contents(there)
     seen: list[dict[str, bytes]] = []
 
@@ -100,9 +103,7 @@ def test_the_old_run_stands_until_the_new_one_is_whole(there: Path, tmp_path: Pa
     assert [path.name for path in tmp_path.iterdir()] == ["demo"]
 
 
-def test_where_the_closing_files_cannot_be_written_both_runs_are_kept(
-    there: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_the_closing_files_cannot_be_written_both_runs_are_kept(there, tmp_path, monkeypatch):
     def full(*_: Any, **__: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -123,8 +124,8 @@ def test_where_the_closing_files_cannot_be_written_both_runs_are_kept(
 
 
 def test_a_disk_that_fills_during_the_run_is_one_line_that_says_where_the_frames_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, monkeypatch
+):
     def full(*_: Any, **__: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -139,7 +140,7 @@ def test_a_disk_that_fills_during_the_run_is_one_line_that_says_where_the_frames
 
 
 @pytest.mark.parametrize("force", [False, True])
-def test_a_run_that_fails_keeps_what_it_recorded(force: bool, there: Path, tmp_path: Path) -> None:
+def test_a_run_that_fails_keeps_what_it_recorded(force, there, tmp_path):
     out = there if force else tmp_path / "other"
     (tmp_path / "source").mkdir()
     runner = recorded(tmp_path / "source", 32, SilentNodeError("the plant node was ended"))
@@ -154,9 +155,7 @@ def test_a_run_that_fails_keeps_what_it_recorded(force: bool, there: Path, tmp_p
 
 
 @pytest.mark.parametrize("ending", [RigError("refused"), NodeSummary(0, 0.0, {}, {})], ids=str)
-def test_a_run_that_records_nothing_replaces_nothing(
-    ending: NodeSummary | RigError, there: Path, tmp_path: Path
-) -> None:
+def test_a_run_that_records_nothing_replaces_nothing(ending, there, tmp_path):
     before = contents(there)
     (tmp_path / "source").mkdir()
     runner = recorded(tmp_path / "source", 0, ending)
@@ -172,7 +171,7 @@ def test_a_run_that_records_nothing_replaces_nothing(
     assert {path.name for path in tmp_path.iterdir()} == {"demo", "source"}
 
 
-def test_what_the_nodes_say_is_in_the_summary(tmp_path: Path) -> None:
+def test_what_the_nodes_say_is_in_the_summary(tmp_path):
     (tmp_path / "source").mkdir()
     events, rejected = {"plant": {"no buffer space": 3}}, {"DSTAR_FEEDBACK": {"wrong_crc": 1}}
     said = NodeSummary(20, 0.5, rejected, events)
@@ -189,7 +188,7 @@ def test_what_the_nodes_say_is_in_the_summary(tmp_path: Path) -> None:
     assert (summary["ticks"], summary["wall_s"], summary["ticks_per_s"]) == (20, 0.5, 40.0)
 
 
-def test_a_stopped_run_says_so(tmp_path: Path) -> None:
+def test_a_stopped_run_says_so(tmp_path):
     stop = StopRequest()
     (tmp_path / "source").mkdir()
     runner = recorded(tmp_path / "source", 25, NodeSummary(5, 0.1, {}, {}))
@@ -205,7 +204,7 @@ def what_if(log: Path, out: Path, *words: object) -> Any:
     return asked("replay", log, "--what-if", "--scenario", "thesis-step", "--out", out, *words)
 
 
-def test_a_what_if_whose_plant_fails_leaves_a_complete_folder(there: Path, tmp_path: Path) -> None:
+def test_a_what_if_whose_plant_fails_leaves_a_complete_folder(there, tmp_path):
     (tmp_path / "failing_car.py").write_text(FAILING)
     log = tmp_path / "source.log"
     shutil.copy(there / "bus.log", log)
@@ -220,8 +219,8 @@ def test_a_what_if_whose_plant_fails_leaves_a_complete_folder(there: Path, tmp_p
 
 
 def test_a_what_if_has_its_bus_events_and_a_reference_that_can_be_read_again(
-    there: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    there, tmp_path, monkeypatch
+):
     run = run_without_bus
 
     def eventful(*arguments: Any) -> NodeSummary:
@@ -244,9 +243,7 @@ def test_a_what_if_has_its_bus_events_and_a_reference_that_can_be_read_again(
     assert values["reference"]["file"] == str(moved / "reference.csv")
 
 
-def test_the_same_what_if_twice_gives_the_same_bytes_but_for_the_times(
-    there: Path, tmp_path: Path
-) -> None:
+def test_the_same_what_if_twice_gives_the_same_bytes_but_for_the_times(there, tmp_path):
     answers = []
     for out in (tmp_path / "one", tmp_path / "another" / "folder"):
         done = asked("replay", there, "--what-if", "--set", "plant.mass_kg=1500", "--out", out)
@@ -269,12 +266,8 @@ def test_the_same_what_if_twice_gives_the_same_bytes_but_for_the_times(
     ],
 )
 def test_a_full_disk_is_one_line_and_nothing_recorded_is_lost(
-    writer: tuple[type, str],
-    name: str,
-    there: set[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    writer, name, there, tmp_path, monkeypatch
+):
     def full(*_: Any, **__: Any) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -293,7 +286,7 @@ def test_a_full_disk_is_one_line_and_nothing_recorded_is_lost(
     assert (folder / LOG).read_bytes() == log.read_bytes()
 
 
-def test_a_bus_within_one_process_is_refused_for_two(tmp_path: Path) -> None:
+def test_a_bus_within_one_process_is_refused_for_two(tmp_path):
     done = asked("run", "thesis-step", "--bus", "virtual:x", "--out", tmp_path / "r")
     assert done.returncode == 2
     assert done.stderr.startswith("error: bus 'virtual:x': stays within one process")
@@ -303,9 +296,7 @@ def test_a_bus_within_one_process_is_refused_for_two(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("lines", "has_table"), [(0, False), (2, False), (5, True)])
-def test_without_a_whole_tick_there_are_no_metrics(
-    lines: int, has_table: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_whole_tick_there_are_no_metrics(lines, has_table, tmp_path, capsys):
     """The offer of tick 0 that nobody answered is none."""
     log, _, scenario = record(tmp_path, "duration_s=0.02", bus="virtual:short")
     folder, outcome, network = tmp_path / "r", Outcome("virtual:short"), network_of(scenario)

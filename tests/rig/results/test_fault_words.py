@@ -1,7 +1,5 @@
 """A fault in words: what, by how much, when."""
 
-from __future__ import annotations
-
 import pytest
 
 from can_rig.drawing.names import CAR, disturbance_in_words, fault_in_words, fault_label
@@ -34,12 +32,12 @@ WORDS = {
 
 
 @pytest.mark.parametrize("words", WORDS)
-def test_in_words(words: str) -> None:
+def test_in_words(words):
     values = WORDS[words].__dict__ | {"at_s": 2.0}
     assert fault_in_words(FaultSettings(**values), CAR, 20.0) == words
 
 
-def test_a_fault_after_the_end_says_so() -> None:
+def test_a_fault_after_the_end_says_so():
     assert fault_in_words(FaultSettings("frames-missing"), CAR, 5.0) == (
         "steering torque lost at 10 s, after the end of the run (frames missing)"
     )
@@ -70,5 +68,5 @@ def test_a_fault_after_the_end_says_so() -> None:
         ),
     ],
 )
-def test_a_disturbance_in_words(disturbance: DisturbanceSettings, words: str) -> None:
+def test_a_disturbance_in_words(disturbance, words):
     assert disturbance_in_words(disturbance, 20.0) == words

@@ -1,7 +1,5 @@
 """What compensation does to the car, against independent runs and a closed form."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +24,7 @@ def output(scenario: Scenario) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
 
 
 @pytest.mark.parametrize("settings", [[], [GUST, "fault.kind=none"]])
-def test_the_peaks_are_those_of_three_runs(settings: list[str]) -> None:
+def test_the_peaks_are_those_of_three_runs(settings):
     scenario = load("default", [*SHORT, *settings])
     off = load("default", [*SHORT, *settings, "design.compensation=off"])
     calm = replace(off, fault=(), disturbance=())
@@ -38,7 +36,7 @@ def test_the_peaks_are_those_of_three_runs(settings: list[str]) -> None:
 
 
 @pytest.mark.parametrize("compensation", ["on-confirmation", "off"])
-def test_a_healthy_car_without_alarms_deviates_from_nothing(compensation: str) -> None:
+def test_a_healthy_car_without_alarms_deviates_from_nothing(compensation):
     values = metrics_of(
         load("ideal", ["duration_s=2", "fault.kind=none", f"design.compensation={compensation}"])
     )
@@ -50,7 +48,7 @@ def test_a_healthy_car_without_alarms_deviates_from_nothing(compensation: str) -
 
 
 @given(away=st.floats(-3.0, 3.0).filter(bool), begin=st.integers(0, 250))
-def test_a_constant_deviation_leads_half_a_t_squared_astray(away: float, begin: int) -> None:
+def test_a_constant_deviation_leads_half_a_t_squared_astray(away, begin):
     """Within the two seconds of a driver, or what the run has of them."""
     scenario = load("thesis-step", UNCOMPENSATED)
     signals = signals_without_log(scenario)
@@ -63,7 +61,7 @@ def test_a_constant_deviation_leads_half_a_t_squared_astray(away: float, begin: 
     assert values["astray_m"] == pytest.approx(abs(away) * 1e-4 * n * (n + 1) / 2.0, abs=1e-8)
 
 
-def test_no_window_is_longer_than_two_seconds() -> None:
+def test_no_window_is_longer_than_two_seconds():
     """The drift before the two seconds does not count."""
     off = load("thesis-step", [*UNCOMPENSATED, "duration_s=20"])
     signals = signals_without_log(off)
@@ -74,7 +72,7 @@ def test_no_window_is_longer_than_two_seconds() -> None:
     assert values["astray_m"] == pytest.approx(1.5, rel=0.01)  # 0.5 m in the second, 1 m after it
 
 
-def test_x_diff_counts_as_unneeded_only_while_the_torque_works() -> None:
+def test_x_diff_counts_as_unneeded_only_while_the_torque_works():
     scenario = load("default", ["duration_s=3", "fault.at_s=1", "fault.for_s=0.5"])
     signals = signals_without_log(scenario)
     lost = torque_lost(scenario, signals)
@@ -89,7 +87,7 @@ def test_x_diff_counts_as_unneeded_only_while_the_torque_works() -> None:
     assert values["torque_rms_nm"] == pytest.approx(np.sqrt(np.mean(signals.torque_nm**2)))
 
 
-def test_a_log_without_reports_of_the_plant_has_no_true_deviation() -> None:
+def test_a_log_without_reports_of_the_plant_has_no_true_deviation():
     scenario = load("default", SHORT)
     signals = replace(signals_without_log(scenario), plant={})
     values = harm_metrics(scenario, signals, torque_lost(scenario, signals))
@@ -109,9 +107,7 @@ def test_a_log_without_reports_of_the_plant_has_no_true_deviation() -> None:
         ([0, 2, 0, 0], ["fault.kind=none"], "TORQUE_OFFSET", None, True),
     ],
 )
-def test_the_longest_verdict_is_right_or_wrong(
-    codes: list[float], settings: list[str], verdict: str, right: bool | None, wrong: bool
-) -> None:
+def test_the_longest_verdict_is_right_or_wrong(codes, settings, verdict, right, wrong):
     scenario = load("ideal", ["duration_s=0.004", "fault.at_s=0", *settings])
     signals = replace(signals_without_log(scenario), verdict=np.array(codes, dtype=np.float64))
     values = harm_metrics(scenario, signals, torque_lost(scenario, signals))
@@ -120,7 +116,7 @@ def test_the_longest_verdict_is_right_or_wrong(
     )  # fmt: skip
 
 
-def test_a_verdict_from_before_the_fault_does_not_count() -> None:
+def test_a_verdict_from_before_the_fault_does_not_count():
     scenario = load("ideal", ["duration_s=0.006", "fault.at_s=0.003"])
     codes = np.array([1.0, 1.0, 1.0, 4.0, 0.0, 0.0])
     signals = replace(signals_without_log(scenario), verdict=codes)
@@ -128,7 +124,7 @@ def test_a_verdict_from_before_the_fault_does_not_count() -> None:
     assert values["verdict"] == "SENSOR_WRONG"
 
 
-def test_the_verdicts_of_several_faults_count_from_the_first() -> None:
+def test_the_verdicts_of_several_faults_count_from_the_first():
     settings = ["fault.1.kind=sensor-biased", "fault.1.at_s=0.004", "fault.1.bias_mps2=1"]
     scenario = load("ideal", ["duration_s=0.006", "fault.at_s=0.001", *settings])
     codes = np.array([5.0, 1.0, 1.0, 1.0, 4.0, 4.0])

@@ -1,7 +1,5 @@
 """A long run: the folder of a short run, in memory that hardly grows."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import tracemalloc
@@ -63,23 +61,21 @@ def assert_same(short: Path, long: Path) -> None:
 @pytest.mark.parametrize(
     ("case", "bus"), [("frames", None), ("drive", None), ("class", None), ("noise", "virtual:long")]
 )
-def test_a_long_run_says_what_a_short_one_says(
-    case: str, bus: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_long_run_says_what_a_short_one_says(case, bus, tmp_path, monkeypatch):
     run(tmp_path / "short", *CASES[case], bus=bus)
     long_from(100, monkeypatch)
     run(tmp_path / "long", *CASES[case], bus=bus)
     assert_same(tmp_path / "short", tmp_path / "long")
 
 
-def test_its_reports_are_those_of_a_short_run(folders: Path) -> None:
+def test_its_reports_are_those_of_a_short_run(folders):
     assert_same(folders / "short", folders / "long")
     for name in ("report.png", "report.html"):
         assert (folders / "short" / name).read_bytes() == (folders / "long" / name).read_bytes()
 
 
 @pytest.fixture(scope="module")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folders(tmp_path_factory):
     """The same run as a short one and as a long one."""
     folder = tmp_path_factory.mktemp("runs")
     run(folder / "short", *CASES["noise"], report=True)
@@ -89,9 +85,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_whoever_reads_a_run_folder_reads_that_of_a_long_run(
-    folders: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_whoever_reads_a_run_folder_reads_that_of_a_long_run(folders, monkeypatch):
     long_from(100, monkeypatch)
     short, long = folders / "short", folders / "long"
     for form in (long, long / "signals.csv.gz"):
@@ -109,9 +103,7 @@ def test_whoever_reads_a_run_folder_reads_that_of_a_long_run(
     assert sum(1 for _ in can.LogReader(long / "bus.log.gz")) == 3500
 
 
-def test_a_what_if_of_a_long_run_is_that_of_a_short_one(
-    folders: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_what_if_of_a_long_run_is_that_of_a_short_one(folders, monkeypatch):
     for name in ("short", "long"):
         done = asked("replay", folders / name, "--what-if", "--set", "plant.mass_kg=1600",
                      "--out", name)  # fmt: skip
@@ -122,7 +114,7 @@ def test_a_what_if_of_a_long_run_is_that_of_a_short_one(
     assert Path("long/reference.csv").read_bytes() == Path("short/reference.csv").read_bytes()
 
 
-def test_a_long_run_is_replaced_as_any_other(folders: Path, tmp_path: Path) -> None:
+def test_a_long_run_is_replaced_as_any_other(folders, tmp_path):
     made = RecordedRun.load(folders / "long").save(tmp_path / "again")
     scenario = load("default", ["duration_s=0.01"])
     assert execute(scenario, made, StopRequest(), Options(force=True)) is not None
@@ -130,7 +122,7 @@ def test_a_long_run_is_replaced_as_any_other(folders: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("damage", [b"", b"\x1f\x8b\x08", b"no gzip"])
-def test_a_damaged_table_is_refused_in_a_line(damage: bytes, folders: Path, tmp_path: Path) -> None:
+def test_a_damaged_table_is_refused_in_a_line(damage, folders, tmp_path):
     path = tmp_path / "signals.csv.gz"
     path.write_bytes(damage)
     refused = asked("diff", folders / "short", path)
@@ -143,9 +135,9 @@ def test_a_damaged_table_is_refused_in_a_line(damage: bytes, folders: Path, tmp_
     [(None, 2000, 5000, 130), ("virtual:memory", 600, 1800, 330)],
 )
 def test_memory_hardly_grows_with_a_run(
-    bus: str | None, few: int, many: int, bytes_a_tick: int, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    bus, few, many, bytes_a_tick, tmp_path,
+    monkeypatch,
+):  # fmt: skip
     """Reports, of the run without a bus, need more memory than so few ticks: they hide a part."""
     long_from(few // 4 * 3, monkeypatch)
     monkeypatch.setattr(in_windows, "WINDOW_TICKS", 970)

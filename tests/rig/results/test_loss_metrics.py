@@ -1,7 +1,5 @@
 """What the decision on the fault estimate made of a loss, and what nothing could avoid."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +33,7 @@ def acting(scenario: Scenario, *changes: tuple[int, float], **columns: np.ndarra
     return quiet(scenario, fault_state=states(scenario, *changes), **columns)
 
 
-def test_the_decision_is_what_the_status_frames_say() -> None:
+def test_the_decision_is_what_the_status_frames_say():
     scenario = load("thesis-step", ["duration_s=3.6", "fault.at_s=1.0", "fault.for_s=1.0"])
     signals = acting(
         scenario,
@@ -75,8 +73,8 @@ def test_the_decision_is_what_the_status_frames_say() -> None:
     ],
 )
 def test_only_a_confirmation_that_begins_in_the_loss_and_stands_finds_it(
-    changes: list[tuple[int, float]], delay_s: float | None, missed: bool, alarms: int
-) -> None:
+    changes, delay_s, missed, alarms
+):
     scenario = load("thesis-step", ["duration_s=2.5", "fault.at_s=1.0", "fault.for_s=1.0"])
     signals = acting(scenario, *changes)
     values, (of_fault,) = metrics(scenario, signals), fault_metrics(scenario, signals)
@@ -96,9 +94,7 @@ def test_only_a_confirmation_that_begins_in_the_loss_and_stands_finds_it(
         (["latency_ticks=3"], 997, 1001),
     ],
 )
-def test_no_confirmation_is_of_a_loss_that_no_sample_shows(
-    settings: list[str], told: int, first: int
-) -> None:
+def test_no_confirmation_is_of_a_loss_that_no_sample_shows(settings, told, first):
     scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0", *settings])
     torque = np.where(np.arange(scenario.ticks) < told, 0.0, 40.0)
     for tick in (first - 1, first):
@@ -110,7 +106,7 @@ def test_no_confirmation_is_of_a_loss_that_no_sample_shows(
         assert values["detection_delay_s"] == delay_s
 
 
-def test_a_delay_below_a_tick_is_refused_and_names_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_delay_below_a_tick_is_refused_and_names_the_run(monkeypatch):
     scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0003", "seed=7"])
     signals = acting(scenario, (1001, CONFIRMED))
     assert metrics(scenario, signals)["missed_detection"] is True
@@ -120,7 +116,7 @@ def test_a_delay_below_a_tick_is_refused_and_names_the_run(monkeypatch: pytest.M
         metrics(scenario, signals)
 
 
-def test_a_verdict_on_another_place_finds_nothing() -> None:
+def test_a_verdict_on_another_place_finds_nothing():
     """The torque is lost; its confirmation counts from the tick that names no other place."""
     scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0"])
     for verdict, delay_s in (
@@ -136,7 +132,7 @@ def test_a_verdict_on_another_place_finds_nothing() -> None:
         assert values["missed_detection"] is (delay_s == 0.3)
 
 
-def test_a_lost_force_difference_is_found_by_its_own_verdict_alone() -> None:
+def test_a_lost_force_difference_is_found_by_its_own_verdict_alone():
     lost = ["fault.channel=force-difference", "fault.at_s=1.0"]
     scenario = load("thesis-step", ["duration_s=2.0", *lost])
     force = np.full(scenario.ticks, 500.0)
@@ -152,7 +148,7 @@ def test_a_lost_force_difference_is_found_by_its_own_verdict_alone() -> None:
         assert values["false_alarms"] == 1  # of the torque, which works
 
 
-def test_a_standing_false_alarm_finds_a_loss_only_where_it_compensates() -> None:
+def test_a_standing_false_alarm_finds_a_loss_only_where_it_compensates():
     """A car that the decision does not allow for: a false alarm, and then the motor dies."""
     car = ["plant.mass_kg=1100", "model.mass_kg=1400", "budget.box=0", "budget.actuator_box=0"]
     settings = ["duration_s=6", "fault.at_s=4.0003", "budget.disturbance_mps2=0", *car]
@@ -169,7 +165,7 @@ def test_a_standing_false_alarm_finds_a_loss_only_where_it_compensates() -> None
     assert missed["off"] == (True, pytest.approx(1.0, abs=0.05))
 
 
-def test_of_two_losses_the_one_that_is_missed_decides_and_the_longest_delay() -> None:
+def test_of_two_losses_the_one_that_is_missed_decides_and_the_longest_delay():
     second = ["fault.1.kind=actuator-dead", "fault.1.channel=force-difference", "fault.1.at_s=1.5"]
     scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0", *second])
     force = np.full(scenario.ticks, 500.0)
@@ -190,7 +186,7 @@ def test_of_two_losses_the_one_that_is_missed_decides_and_the_longest_delay() ->
         assert (tuple(found), tuple(values[key] for key in keys)) == (of_faults, of_run)
 
 
-def test_a_channel_that_is_known_to_be_lost_is_not_lost_again() -> None:
+def test_a_channel_that_is_known_to_be_lost_is_not_lost_again():
     second = ["fault.1.kind=frames-missing", "fault.1.channel=torque", "fault.1.at_s=1.5"]
     settings = ["duration_s=2.0", "fault.at_s=1.0", *second]
     for for_s, missed in ((0.7, None), (0.3, True)):  # over before, and never seen to be over
@@ -201,7 +197,7 @@ def test_a_channel_that_is_known_to_be_lost_is_not_lost_again() -> None:
         assert second_one["missed_detection"] is missed
 
 
-def test_of_two_faults_that_begin_together_the_one_that_shows_first_is_found() -> None:
+def test_of_two_faults_that_begin_together_the_one_that_shows_first_is_found():
     """A dead motor shows with its first command; missing frames have told of the loss before."""
     first = ["fault.kind=frames-missing", "fault.at_s=1.0"]
     second = ["fault.1.kind=actuator-dead", "fault.1.channel=torque", "fault.1.at_s=1.0"]
@@ -214,7 +210,7 @@ def test_of_two_faults_that_begin_together_the_one_that_shows_first_is_found() -
 
 
 @pytest.mark.parametrize("state", [CLEAR, SUSPECTED, CANNOT_TELL])
-def test_a_part_of_the_torque_is_missed_by_the_same_rule_as_all_of_it(state: float) -> None:
+def test_a_part_of_the_torque_is_missed_by_the_same_rule_as_all_of_it(state):
     """The same torque that is missing, as half of what is asked for, a tenth, or all."""
     missed = {}
     for missing_nm in (1e-6, 0.01, 0.1, 1.0, 10.0):
@@ -229,7 +225,7 @@ def test_a_part_of_the_torque_is_missed_by_the_same_rule_as_all_of_it(state: flo
     assert missed == expected
 
 
-def test_a_torque_whose_frames_are_missing_is_missed_where_the_car_shows_it() -> None:
+def test_a_torque_whose_frames_are_missing_is_missed_where_the_car_shows_it():
     """Whatever the controller says of what it can tell."""
     for channel, missed in (("torque", True), ("force-difference", None)):
         settings = ["fault.kind=frames-missing", f"fault.channel={channel}", "fault.at_s=1.5"]
@@ -240,14 +236,14 @@ def test_a_torque_whose_frames_are_missing_is_missed_where_the_car_shows_it() ->
             assert metrics(scenario, said)["missed_detection"] is missed
 
 
-def test_nothing_is_missed_where_nothing_is_lost() -> None:
+def test_nothing_is_missed_where_nothing_is_lost():
     scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0"])
     nothing_lost = metrics(scenario.healthy, quiet(scenario))
     assert nothing_lost["missed_detection"] is None
     assert nothing_lost["false_alarms_per_hour"] == 0.0
 
 
-def test_there_is_a_bound_where_the_log_has_every_command_that_is_lost() -> None:
+def test_there_is_a_bound_where_the_log_has_every_command_that_is_lost():
     for at_s, latency, there in (
         (0.002, 2, True), (0.001, 2, False), (0.0, 0, True), (0.0191, 0, False), (0.019, 0, True),
     ):  # fmt: skip
@@ -259,9 +255,7 @@ def test_there_is_a_bound_where_the_log_has_every_command_that_is_lost() -> None
 
 @pytest.mark.parametrize("latency", [0, 1, 2, 5])
 @pytest.mark.parametrize("left", [0.0, 0.4])
-def test_unavoidable_is_what_a_loss_does_before_anything_can_answer(
-    latency: int, left: float
-) -> None:
+def test_unavoidable_is_what_a_loss_does_before_anything_can_answer(latency, left):
     """A step of the torque, missing in part for n + 1 ticks: scipy's step response of G1."""
     settings = [f"latency_ticks={latency}", f"fault.left={left}", "duration_s=11.0"]
     scenario = load("thesis-step", [*settings, "design.tau_s=0.02", "design.tau_q_s=0.02"])
@@ -277,7 +271,7 @@ def test_unavoidable_is_what_a_loss_does_before_anything_can_answer(
     assert found == pytest.approx((1.0 - left) * short, rel=0.05)
 
 
-def test_there_is_nothing_unavoidable_where_no_actuator_dies_in_the_log() -> None:
+def test_there_is_nothing_unavoidable_where_no_actuator_dies_in_the_log():
     for settings in (["fault.kind=none"], ["fault.kind=frames-missing"], ["duration_s=2.0"]):
         scenario = load("thesis-step", ["tick_s=0.01", *settings])
         assert metrics(scenario, quiet(scenario))["unavoidable_deviation_mps2"] is None

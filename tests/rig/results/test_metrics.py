@@ -1,7 +1,5 @@
 """The numbers of a run, against the continuous loop and by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,13 +12,13 @@ from can_rig.results.metrics import Metrics, fault_metrics, fault_rows, metrics,
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import solve
-from tests.rig.results.quiet import COLUMNS, Run, quiet
+from tests.rig.results.quiet import COLUMNS, quiet
 
 LSB_MPS2 = 1e-8
 
 
 @pytest.mark.parametrize(("name", "within"), [("thesis-step", 0.08), ("chapter-2", 0.01)])
-def test_deviation_is_that_of_the_continuous_loop(run: Run, name: str, within: float) -> None:
+def test_deviation_is_that_of_the_continuous_loop(run, name, within):
     scenario, signals = run(name, "duration_s=3.0", "fault.at_s=1.5")
     lost, kept = solve(scenario), solve(scenario.healthy)
     expected = np.abs(lost.measurement - kept.measurement).max()
@@ -29,7 +27,7 @@ def test_deviation_is_that_of_the_continuous_loop(run: Run, name: str, within: f
     assert (values["error_peak_after_fault_mps2"] is None) == (name == "chapter-2")
 
 
-def test_a_fault_where_nothing_acts_changes_nothing(run: Run) -> None:
+def test_a_fault_where_nothing_acts_changes_nothing(run):
     """Channel 2 idles in a settled healthy loop, so losing it is not seen."""
     scenario, signals = run(
         "thesis-step", "fault.channel=force-difference", "fault.at_s=1.5", "duration_s=2.0"
@@ -52,9 +50,7 @@ def test_a_fault_where_nothing_acts_changes_nothing(run: Run) -> None:
         (["latency_ticks=2"], 0, 999, True),  # on its way when the actuator died
     ],
 )
-def test_a_lost_force_difference_is_missed_only_where_it_acted(
-    settings: list[str], first: int, last: int, missed: bool | None
-) -> None:
+def test_a_lost_force_difference_is_missed_only_where_it_acted(settings, first, last, missed):
     lost = ["fault.channel=force-difference", "fault.at_s=1.0", "fault.for_s=0.5"]
     scenario = load("thesis-step", ["duration_s=2.0", *lost, *settings])
     force = np.zeros(scenario.ticks)
@@ -63,7 +59,7 @@ def test_a_lost_force_difference_is_missed_only_where_it_acted(
     assert values["missed_detection"] is missed
 
 
-def test_what_the_force_difference_can_carry_is_said_where_the_torque_is_lost() -> None:
+def test_what_the_force_difference_can_carry_is_said_where_the_torque_is_lost():
     keys = ("dstar_carried_mps2", "force_difference_needed_n", "force_difference_available_n")
     for settings, there in ((["fault.channel=torque"], True), (["fault.kind=none"], False),
                             (["fault.channel=force-difference"], False),
@@ -73,7 +69,7 @@ def test_what_the_force_difference_can_carry_is_said_where_the_torque_is_lost() 
         assert [values[key] is not None for key in keys] == [there] * 3
 
 
-def test_a_biased_sensor_leaves_the_error_of_the_car(run: Run) -> None:
+def test_a_biased_sensor_leaves_the_error_of_the_car(run):
     """The loop holds the measured D*, so the car settles off by the bias, and comes back."""
     bias = -0.04
     biased = ["fault.kind=sensor-biased", f"fault.bias_mps2={bias}", "fault.at_s=1.5"]
@@ -90,7 +86,7 @@ def test_a_biased_sensor_leaves_the_error_of_the_car(run: Run) -> None:
         assert values[key] == pytest.approx(0.0, abs=0.1 * abs(bias))
 
 
-def test_the_tick_at_which_a_bias_comes_is_no_jump_of_the_car(run: Run) -> None:
+def test_the_tick_at_which_a_bias_comes_is_no_jump_of_the_car(run):
     scenario, signals = run(
         "ideal", "fault.kind=sensor-biased", "fault.at_s=0.05", "duration_s=0.051"
     )
@@ -99,7 +95,7 @@ def test_the_tick_at_which_a_bias_comes_is_no_jump_of_the_car(run: Run) -> None:
     assert peak is not None and peak < 20 * LSB_MPS2
 
 
-def test_a_passing_fault_is_over_at_the_end(run: Run) -> None:
+def test_a_passing_fault_is_over_at_the_end(run):
     scenario, signals = run("thesis-step", "fault.at_s=1.0", "fault.for_s=0.5", "duration_s=6.0")
     values = metrics(scenario, signals)
     assert values["fault_estimate_peak_while_lost_mps2"] == pytest.approx(1.0, rel=0.1)
@@ -112,7 +108,7 @@ def test_a_passing_fault_is_over_at_the_end(run: Run) -> None:
 CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = 0.0, 1.0, 2.0, 3.0
 
 
-def test_noise_in_the_commands_is_that_of_the_exact_covariance(run: Run) -> None:
+def test_noise_in_the_commands_is_that_of_the_exact_covariance(run):
     always = ("design.compensation=always", "design.tau_s=0.0022", "design.alpha=2")
     scenario, signals = run("noisy", "duration_s=10.0", "fault.kind=none", *always)
     expected = (
@@ -122,7 +118,7 @@ def test_noise_in_the_commands_is_that_of_the_exact_covariance(run: Run) -> None
     assert found == pytest.approx(expected, rel=0.15)  # 2 s of a noise of some ms
 
 
-def test_what_counts_from_the_fault_on_counts_after_its_end_too() -> None:
+def test_what_counts_from_the_fault_on_counts_after_its_end_too():
     scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0", "fault.for_s=0.05"])
     reference, torque = np.zeros((2, scenario.ticks))
     reference[900:1100] = -0.5
@@ -139,7 +135,7 @@ def test_what_counts_from_the_fault_on_counts_after_its_end_too() -> None:
     assert peak == pytest.approx(2.0, abs=1e-6)
 
 
-def test_peaks_belong_to_their_windows() -> None:
+def test_peaks_belong_to_their_windows():
     settings = ["tick_s=0.01", "fault.for_s=5"]
     scenario = load("thesis-step", settings)
     reference = np.zeros(scenario.ticks)
@@ -163,7 +159,7 @@ def labels(scenario: Scenario, values: Metrics) -> str:
     return "\n".join(f"{label}: {text}" for label, text in rows(values, scenario.plant))
 
 
-def test_rows_say_only_what_the_run_has() -> None:
+def test_rows_say_only_what_the_run_has():
     scenario = load("thesis-step", ["tick_s=0.01"])
     acting = quiet(scenario, torque_nm=np.full(scenario.ticks, 40.0))
     closed = labels(scenario, metrics(scenario, acting))
@@ -180,7 +176,7 @@ def test_rows_say_only_what_the_run_has() -> None:
     assert "error" not in opened and "deviation" in opened
 
 
-def test_a_run_without_a_tick_has_no_numbers() -> None:
+def test_a_run_without_a_tick_has_no_numbers():
     scenario = load("thesis-step")
     empty = Signals(*(np.empty(0) for _ in COLUMNS))
     values = metrics(scenario, empty)
@@ -188,7 +184,7 @@ def test_a_run_without_a_tick_has_no_numbers() -> None:
     assert rows(values, load("thesis-step").plant) == []
 
 
-def test_every_key_says_its_unit() -> None:
+def test_every_key_says_its_unit():
     scenario = load("thesis-step", ["tick_s=0.01"])
     for key in metrics(scenario, quiet(scenario)):
         plain = {"deviation_over_unavoidable", "detection_over_unavoidable"}
@@ -207,7 +203,7 @@ def spans(scenario: Scenario) -> dict[str, tuple[float, float] | None]:
     return found
 
 
-def test_windows_of_a_lasting_fault() -> None:
+def test_windows_of_a_lasting_fault():
     assert spans(load("thesis-step", ["tick_s=0.01"])) == {
         "before": (0.0, 9.99),
         "after": (10.0, 19.99),
@@ -218,7 +214,7 @@ def test_windows_of_a_lasting_fault() -> None:
     }
 
 
-def test_windows_of_a_passing_fault_settle_after_it_has_passed() -> None:
+def test_windows_of_a_passing_fault_settle_after_it_has_passed():
     found = spans(load("thesis-step", ["tick_s=0.01", "fault.for_s=9"]))
     assert found["lost"] == (10.0, 18.99)
     assert found["after"] == (10.0, 19.99)
@@ -229,19 +225,19 @@ def test_windows_of_a_passing_fault_settle_after_it_has_passed() -> None:
     assert spans(load("thesis-step", settings))["settled_after"] == (19.99, 19.995)
 
 
-def test_two_periods_of_a_slow_reference_count_as_settled() -> None:
+def test_two_periods_of_a_slow_reference_count_as_settled():
     settings = ["tick_s=0.01", "reference.frequency_rad_per_s=3.141592653589793"]
     assert spans(load("thesis-sine", settings))["settled_after"] == (15.99, 19.99)
 
 
 @pytest.mark.parametrize("settings", [["fault.kind=none"], ["duration_s=2.0"]])
-def test_windows_without_a_fault(settings: list[str]) -> None:
+def test_windows_without_a_fault(settings):
     found = spans(load("thesis-step", ["tick_s=0.01", *settings]))
     assert found["after"] is found["lost"] is found["settled_after"] is None
     assert found["before"] is not None
 
 
-def test_the_fault_is_lost_at_the_ticks_at_which_the_nodes_lose_it() -> None:
+def test_the_fault_is_lost_at_the_ticks_at_which_the_nodes_lose_it():
     """Binary fractions of a second must not shift it by a tick."""
     for at in range(1, 1500, 7):
         scenario = load("thesis-step", ["duration_s=2.0", f"fault.at_s={at / 1000}"])
@@ -253,7 +249,7 @@ BOTH = ["duration_s=6", "fault.at_s=2", "fault.for_s=1.5", "fault.1.kind=sensor-
 BOTH += ["fault.1.at_s=4", "fault.1.for_s=0.5", "fault.1.value=0.3"]
 
 
-def test_of_one_fault_they_are_those_of_the_run() -> None:
+def test_of_one_fault_they_are_those_of_the_run():
     scenario = load("noisy", ["duration_s=4", "fault.at_s=2"])
     signals = signals_without_log(scenario)
     of_run, (of_fault,) = metrics(scenario, signals), fault_metrics(scenario, signals)
@@ -272,7 +268,7 @@ def test_of_one_fault_they_are_those_of_the_run() -> None:
     assert of_fault["deviation_peak_mps2"] > 0.01
 
 
-def test_what_one_fault_does_is_told_from_what_the_other_does() -> None:
+def test_what_one_fault_does_is_told_from_what_the_other_does():
     """The other one is over before, or has not begun: each has what it does alone."""
     scenario = load("ideal", BOTH)
     dead, stuck = fault_metrics(scenario, signals_without_log(scenario))
@@ -289,7 +285,7 @@ def test_what_one_fault_does_is_told_from_what_the_other_does() -> None:
 
 
 @pytest.mark.parametrize("kind", ["sensor-stuck", "frames-missing"])
-def test_d_of_the_car_is_its_own_where_the_sensor_hides_it(kind: str) -> None:
+def test_d_of_the_car_is_its_own_where_the_sensor_hides_it(kind):
     settings = [f"fault.kind={kind}", "fault.channel=sensor", "fault.value=0.5", "fault.at_s=0.1"]
     scenario = load("ideal", [*settings, "duration_s=0.3", "fault.for_s=0.1"])
     signals = signals_without_log(scenario)
@@ -300,7 +296,7 @@ def test_d_of_the_car_is_its_own_where_the_sensor_hides_it(kind: str) -> None:
     assert np.flatnonzero(np.isnan(output_of_car(scenario, unknown))).tolist() == [*range(100, 200)]
 
 
-def test_a_fault_after_the_end_has_no_figures() -> None:
+def test_a_fault_after_the_end_has_no_figures():
     scenario = load("ideal", ["duration_s=0.2"])
     (none,) = fault_metrics(scenario, quiet(scenario))
     what = {"kind": "actuator-dead", "place": "torque", "at_s": 10.0, "for_s": None}
@@ -309,7 +305,7 @@ def test_a_fault_after_the_end_has_no_figures() -> None:
     }
 
 
-def test_the_closing_table_has_a_line_for_each_of_several_faults() -> None:
+def test_the_closing_table_has_a_line_for_each_of_several_faults():
     scenario = load("ideal", BOTH)
     faults = fault_metrics(scenario, signals_without_log(scenario))
     dead, stuck = fault_rows(scenario, faults)

@@ -1,7 +1,5 @@
 """``report.png``: its content, and a picture without a warning of every run, however short."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -34,7 +32,7 @@ def drawn(folder: Path, name: str, *settings: str) -> Figure:
     return report.page(scenario, network_of(scenario), signals)
 
 
-def test_title_and_units_say_what_was_run(tmp_path: Path) -> None:
+def test_title_and_units_say_what_was_run(tmp_path):
     page = drawn(tmp_path, "thesis-step", "plant.variant=published", "fault.for_s=0.05")
     title = page.get_suptitle()
     for words in (
@@ -50,7 +48,7 @@ def test_title_and_units_say_what_was_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("amplitude", [-1e-4, -1e-3, -20.0])
-def test_no_label_leaves_the_page(tmp_path: Path, amplitude: float) -> None:
+def test_no_label_leaves_the_page(tmp_path, amplitude):
     """The margins are fixed, and the numbers beside an axis are as long as they are."""
     units = [f"plant.{signal}.unit=%" for signal in ("input_1", "input_2", "output")]
     page = drawn(tmp_path, "chapter-2", f"reference.amplitude_mps2={amplitude}", *units)
@@ -60,7 +58,7 @@ def test_no_label_leaves_the_page(tmp_path: Path, amplitude: float) -> None:
         assert axis.yaxis.get_tightbbox().x0 > 0.0
 
 
-def test_loss_and_gust_are_shaded_where_they_were(tmp_path: Path) -> None:
+def test_loss_and_gust_are_shaded_where_they_were(tmp_path):
     gust = "disturbance={kind='gust', at_s=0.12, for_s=0.06, force_n=1}"
     page = drawn(tmp_path, "thesis-step", "fault.for_s=0.05", gust)
     for axis in page.axes:
@@ -75,12 +73,12 @@ def test_loss_and_gust_are_shaded_where_they_were(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("setting", ["fault.kind=none", "fault.at_s=0.5"])
-def test_nothing_is_shaded_where_nothing_was_lost(tmp_path: Path, setting: str) -> None:
+def test_nothing_is_shaded_where_nothing_was_lost(tmp_path, setting):
     page = drawn(tmp_path, "thesis-step", setting)
     assert not any(axis.patches for axis in page.axes)
 
 
-def test_a_spike_is_off_the_scale_and_said_to_be(tmp_path: Path) -> None:
+def test_a_spike_is_off_the_scale_and_said_to_be(tmp_path):
     torque = drawn(tmp_path, "thesis-step", "duration_s=3.0", "fault.at_s=1.5").axes[2]
     assert torque.get_ylim()[1] < 1000.0
     assert torque.texts[0].get_text() == "peak 249000 N m at 0 s"
@@ -90,7 +88,7 @@ def test_a_spike_is_off_the_scale_and_said_to_be(tmp_path: Path) -> None:
     assert not boxes[0].overlaps(boxes[1])
 
 
-def test_an_open_loop_shows_its_deviation_and_not_an_error(tmp_path: Path) -> None:
+def test_an_open_loop_shows_its_deviation_and_not_an_error(tmp_path):
     output, deviation, *_ = drawn(tmp_path, "chapter-2").axes
     assert deviation.get_ylabel() == "deviation, rms"
     assert [line.get_label() for line in output.lines[:3]] == [
@@ -103,7 +101,7 @@ def test_an_open_loop_shows_its_deviation_and_not_an_error(tmp_path: Path) -> No
     assert np.max(size) > 1e-4
 
 
-def test_the_curves_differ_in_grey(tmp_path: Path) -> None:
+def test_the_curves_differ_in_grey(tmp_path):
     output = drawn(tmp_path, "thesis-sine").axes[0]
     styles = [line.get_linestyle() for line in output.lines[:2]]
     assert styles[0] != styles[1]
@@ -117,7 +115,7 @@ def test_the_curves_differ_in_grey(tmp_path: Path) -> None:
         ("no-compensation", 499),
     ],
 )
-def test_every_run_that_ends_early_is_reported(tmp_path: Path, name: str, frames: int) -> None:
+def test_every_run_that_ends_early_is_reported(tmp_path, name, frames):
     log, _, scenario = record(tmp_path, *SHORT, "plant.sensor.noise_mps2=0.005", name=name)
     lines = log.read_text().splitlines(keepends=True)
     (tmp_path / "bus.log").write_text("".join(lines[:frames]) + lines[frames][:25])
@@ -131,7 +129,7 @@ def test_every_run_that_ends_early_is_reported(tmp_path: Path, name: str, frames
 @pytest.mark.parametrize(
     ("kind", "channel"), [("frames-missing", "torque"), ("frames-corrupted", "force-difference")]
 )
-def test_lost_frames_are_gaps_in_the_command(tmp_path: Path, kind: str, channel: str) -> None:
+def test_lost_frames_are_gaps_in_the_command(tmp_path, kind, channel):
     page = drawn(
         tmp_path,
         "thesis-sine",
@@ -143,7 +141,7 @@ def test_lost_frames_are_gaps_in_the_command(tmp_path: Path, kind: str, channel:
     assert np.flatnonzero(np.isnan(shown)).tolist() == list(range(100, 120))
 
 
-def test_a_real_time_run_shows_how_late_it_was(tmp_path: Path) -> None:
+def test_a_real_time_run_shows_how_late_it_was(tmp_path):
     """Three wake-ups of 15 µs, one of 3 ms: the bars of the two bins that they fall in."""
     timing = Timing(1_000_000)
     for tick, late_ns in enumerate([15_000, 15_000, 15_000, 3_000_000], start=1):
@@ -159,7 +157,7 @@ def test_a_real_time_run_shows_how_late_it_was(tmp_path: Path) -> None:
     assert page.canvas.get_width_height()
 
 
-def test_what_the_dead_motor_applies_is_shown_beside_its_command(tmp_path: Path) -> None:
+def test_what_the_dead_motor_applies_is_shown_beside_its_command(tmp_path):
     page = drawn(tmp_path, "partial-loss", "fault.left=0.25")
     commanded, applied = (np.asarray(line.get_ydata()) for line in page.axes[2].lines[:2])
     assert [line.get_label() for line in page.axes[2].lines[:2]] == ["commanded", "applied"]
@@ -168,7 +166,7 @@ def test_what_the_dead_motor_applies_is_shown_beside_its_command(tmp_path: Path)
     assert "applied" not in [line.get_label() for line in page.axes[3].lines]
 
 
-def test_a_thin_line_is_the_run_without_compensation(tmp_path: Path) -> None:
+def test_a_thin_line_is_the_run_without_compensation(tmp_path):
     """From the fault on, and as a run through the bus has it."""
     kind = ("fault.kind=frames-missing", "plant.sensor.noise_mps2=0.001")
     output = drawn(tmp_path, "default", *kind).axes[0]
@@ -181,7 +179,7 @@ def test_a_thin_line_is_the_run_without_compensation(tmp_path: Path) -> None:
     assert len(page.axes[0].lines) == 3  # output, reference and the edge of the shade
 
 
-def test_a_biased_sensor_is_shown_beside_the_car(tmp_path: Path) -> None:
+def test_a_biased_sensor_is_shown_beside_the_car(tmp_path):
     page = drawn(tmp_path, "default", "fault.kind=sensor-biased", "fault.bias_mps2=0.25")
     measured, _, car = (np.asarray(line.get_ydata()) for line in page.axes[0].lines[:3])
     np.testing.assert_allclose(measured[100:] - car, 0.25)
@@ -191,7 +189,7 @@ def test_a_biased_sensor_is_shown_beside_the_car(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["default", "chapter-2"])
-def test_title_shade_panel_and_closing_table_use_one_name(tmp_path: Path, name: str) -> None:
+def test_title_shade_panel_and_closing_table_use_one_name(tmp_path, name):
     scenario, signals = recorded(tmp_path, "fault.channel=force-difference", name=name)
     page = report.page(scenario, network_of(scenario), signals)
     lost = {"default": "rear force difference", "chapter-2": "input 2"}[name]
@@ -202,7 +200,7 @@ def test_title_shade_panel_and_closing_table_use_one_name(tmp_path: Path, name: 
     assert f"|{lost}|, peak" in labels
 
 
-def test_the_title_says_what_of_the_plan_did_not_happen(tmp_path: Path) -> None:
+def test_the_title_says_what_of_the_plan_did_not_happen(tmp_path):
     late = drawn(tmp_path, "thesis-step", "fault.at_s=0.5").get_suptitle()
     assert "lost at 0.5 s, after the end of the run" in late
     log, _, scenario = record(tmp_path, *SHORT)
@@ -212,7 +210,7 @@ def test_the_title_says_what_of_the_plan_did_not_happen(tmp_path: Path) -> None:
     assert short.splitlines()[-1] == "ended at 0.05 s of 0.2 s"
 
 
-def test_the_error_of_a_coarse_sensor_is_a_band_and_no_block(tmp_path: Path) -> None:
+def test_the_error_of_a_coarse_sensor_is_a_band_and_no_block(tmp_path):
     """Many a measurement is the reference itself: without a floor seven decades are one block."""
     _, distance, *_ = drawn(tmp_path, "chassis-can-coarse", "duration_s=8").axes
     time_s, size = (np.asarray(each) for each in distance.lines[0].get_data())

@@ -1,7 +1,5 @@
 """A log's rows: cantools' own decode, and what is left of a log that is damaged or cut."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re
@@ -58,7 +56,7 @@ HEADER = {"Checksum", "AliveCounter", "Tick", "Mode", "FaultState", "Verdict"}
 
 
 @pytest.fixture(scope="module")
-def lines(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+def lines(tmp_path_factory):
     log = tmp_path_factory.mktemp("run") / "bus.log"
     run_in_process(SCENARIO, "local:signals-test", log, StopRequest(), lambda tick: None, PYTHON)
     return log.read_text().splitlines(keepends=True)
@@ -74,7 +72,7 @@ def table(signals: Signals) -> np.ndarray:
     return np.array([getattr(signals, name) for name in VALUES]).T
 
 
-def test_rows_are_cantools_own_decode(tmp_path: Path, lines: list[str]) -> None:
+def test_rows_are_cantools_own_decode(tmp_path, lines):
     signals = read(tmp_path, lines)
     database = cantools.database.load_file(
         Path(__file__).parents[3] / "dbc" / "steer_by_wire.dbc", strict=True
@@ -98,9 +96,7 @@ def test_rows_are_cantools_own_decode(tmp_path: Path, lines: list[str]) -> None:
 
 
 @pytest.mark.parametrize("first", range(100, 106))
-def test_a_log_that_starts_late_knows_where_it_is(
-    tmp_path: Path, lines: list[str], first: int
-) -> None:
+def test_a_log_that_starts_late_knows_where_it_is(tmp_path, lines, first):
     whole, late = read(tmp_path, lines), read(tmp_path, lines[first:])
     begin = first // 5 + (first % 5 > 1)  # commands and a status alone say nothing of the tick
     assert late.time_s[0] == whole.time_s[begin]
@@ -112,9 +108,7 @@ def test_a_log_that_starts_late_knows_where_it_is(
 
 @pytest.mark.parametrize("last", [*range(6), *range(155, 161)])
 @pytest.mark.parametrize("cut", [0, 1, 9, 20, 30])
-def test_a_log_that_stops_in_mid_tick(
-    tmp_path: Path, lines: list[str], last: int, cut: int
-) -> None:
+def test_a_log_that_stops_in_mid_tick(tmp_path, lines, last, cut):
     """``cut`` characters of one more line, as a killed run leaves them."""
     whole = table(read(tmp_path, lines))
     signals = read(tmp_path, [*lines[:last], lines[last][:cut]])
@@ -126,7 +120,7 @@ def test_a_log_that_stops_in_mid_tick(
 
 
 @pytest.mark.parametrize("column", range(5))
-def test_one_damaged_frame_costs_one_cell(tmp_path: Path, lines: list[str], column: int) -> None:
+def test_one_damaged_frame_costs_one_cell(tmp_path, lines, column):
     whole = table(read(tmp_path, lines))
     at = 5 * 20 + column
     flipped = f"{int(lines[at][-4], 16) ^ 1:X}"
@@ -142,9 +136,7 @@ def test_one_damaged_frame_costs_one_cell(tmp_path: Path, lines: list[str], colu
 
 
 @pytest.mark.parametrize("ticks", [1, 2, 13, 14, 15, 16, 17])
-def test_ticks_that_are_missing_are_rows_of_nan(
-    tmp_path: Path, lines: list[str], ticks: int
-) -> None:
+def test_ticks_that_are_missing_are_rows_of_nan(tmp_path, lines, ticks):
     """A gap longer than the alive counter can measure is still a gap, and costs nothing more."""
     whole = table(read(tmp_path, lines))
     signals = read(tmp_path, [*lines[:50], *lines[5 * (10 + ticks) :]])
@@ -154,16 +146,14 @@ def test_ticks_that_are_missing_are_rows_of_nan(
     np.testing.assert_array_equal(table(signals), whole)
 
 
-def test_frames_of_another_tick_and_repeated_ones_change_nothing(
-    tmp_path: Path, lines: list[str]
-) -> None:
+def test_frames_of_another_tick_and_repeated_ones_change_nothing(tmp_path, lines):
     whole = table(read(tmp_path, lines))
     old, torque = lines[5 * 8 + 2], lines[5 * 20 + 2]
     replayed = [*lines[:102], old, *lines[102:103], torque, lines[5 * 19], *lines[103:]]
     np.testing.assert_array_equal(table(read(tmp_path, replayed)), whole)
 
 
-def test_other_frames_are_not_ours(tmp_path: Path, lines: list[str]) -> None:
+def test_other_frames_are_not_ours(tmp_path, lines):
     whole = table(read(tmp_path, lines))
     others = [
         "(0.001000) vcan0 00000100#1401010000E1F505 T\n",  # extended, the same number
@@ -184,9 +174,7 @@ def test_other_frames_are_not_ours(tmp_path: Path, lines: list[str]) -> None:
         (65540, 1.7e9 + 0.3, 4),  # wall-clock stamps: 16 bits are all there is
     ],
 )
-def test_the_tick_counts_on_over_the_16_bits_of_the_wire(
-    tmp_path: Path, first: int, offset_s: float, shown: int
-) -> None:
+def test_the_tick_counts_on_over_the_16_bits_of_the_wire(tmp_path, first, offset_s, shown):
     senders = [Transmitter(codec) for codec in NETWORK]
     lines = []
     for tick in range(first, first + 12):
@@ -199,7 +187,7 @@ def test_the_tick_counts_on_over_the_16_bits_of_the_wire(
     assert not np.isnan(table(signals)).any()
 
 
-def test_commands_before_any_tick_is_known_are_not_used(tmp_path: Path) -> None:
+def test_commands_before_any_tick_is_known_are_not_used(tmp_path):
     """Of all ticks, 65535 is the one that looks like the tick before 0."""
     lines = []
     for codec in (NETWORK.command_1, NETWORK.status):
@@ -208,7 +196,7 @@ def test_commands_before_any_tick_is_known_are_not_used(tmp_path: Path) -> None:
     assert len(read(tmp_path, lines)) == 0
 
 
-def test_csv_has_the_contract_s_columns_and_empty_cells(tmp_path: Path, lines: list[str]) -> None:
+def test_csv_has_the_contract_s_columns_and_empty_cells(tmp_path, lines):
     signals = read(tmp_path, lines)
     signals.write_csv(tmp_path / "signals.csv", SCENARIO.plant)
     back = np.genfromtxt(tmp_path / "signals.csv", delimiter=",", names=True)
@@ -249,22 +237,22 @@ SAID = {
 }
 
 
-def test_the_car_has_its_own() -> None:
+def test_the_car_has_its_own():
     assert all(name == column for column, name in column_names(load("default").plant).items())
 
 
-def test_a_plant_by_numbers_has_its_names_and_units() -> None:
+def test_a_plant_by_numbers_has_its_names_and_units():
     assert column_names(load("chapter-2", COLUMN).plant) == SAID
 
 
-def test_without_names_and_units_they_are_roles() -> None:
+def test_without_names_and_units_they_are_roles():
     names = column_names(CHAPTER_2)
     assert (names["dstar_mps2"], names["torque_nm"]) == ("output_y", "input_1")
     assert names["error_mps2"] == "error"
 
 
 @pytest.mark.parametrize("name", ["Δφ", "mode", "verdict", "error", "applied input 2", "°"])
-def test_a_name_that_would_not_tell_columns_apart_is_its_role(name: str) -> None:
+def test_a_name_that_would_not_tell_columns_apart_is_its_role(name):
     given_name = f"plant.input_1.name='{name}'"
     names = column_names(load("chapter-2", [given_name]).plant)
     assert names["torque_nm"] == "input_1"
@@ -275,7 +263,7 @@ WORDS = st.text(min_size=1, max_size=6).filter(lambda word: word.isprintable() a
 
 
 @given(st.tuples(WORDS, WORDS, WORDS), WORDS)
-def test_no_two_columns_have_one_name(words: tuple[str, str, str], unit: str) -> None:
+def test_no_two_columns_have_one_name(words, unit):
     output, input_1, input_2 = (SignalSettings(word, unit) for word in words)
     plant = replace(CHAPTER_2, output=output, input_1=input_1, input_2=input_2)
     names = column_names(plant)
@@ -286,12 +274,12 @@ def test_no_two_columns_have_one_name(words: tuple[str, str, str], unit: str) ->
     assert all(re.fullmatch("[0-9a-z_]+", name) for name in names.values())
 
 
-def test_what_the_plant_reports_under_such_a_name_keeps_it() -> None:
+def test_what_the_plant_reports_under_such_a_name_keeps_it():
     names = column_names(load("chapter-2", COLUMN).plant, {"purity_percent"})
     assert names == SAID | {"dstar_mps2": "dstar_mps2"}
 
 
-def test_file_table_and_log_call_them_alike(tmp_path: Path) -> None:
+def test_file_table_and_log_call_them_alike(tmp_path):
     scenario = load("chapter-2", [*COLUMN, "duration_s=0.4", "fault.at_s=0.2"])
     folder = can_rig.run(scenario).save(tmp_path / "run")
     loaded = can_rig.load(folder)

@@ -1,7 +1,5 @@
 """``report.html``: everything in one file, the numbers as they were, no peak lost."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re
@@ -18,7 +16,6 @@ from can_rig.results.metrics import fault_metrics, metrics
 from can_rig.results.report.web_page import events, recording, web_page
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.settings import Scenario
 
 SHORT = ["duration_s=1.5", "fault.at_s=0.8", "fault.1.kind=frames-missing", "fault.1.at_s=0.2"]
 SHORT += ["fault.1.channel=sensor", "fault.1.for_s=0.05", "description=</script>"]
@@ -26,7 +23,7 @@ SHORT += ["disturbance={kind='gust', at_s=0.3, for_s=0.2, force_n=50}"]
 
 
 @pytest.fixture(scope="module")
-def ran() -> tuple[Scenario, Signals, str]:
+def ran():
     scenario = load("default", SHORT)
     signals = signals_without_log(scenario)
     values, faults = metrics(scenario, signals), fault_metrics(scenario, signals)
@@ -41,14 +38,14 @@ def numbers(run: dict[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     return np.frombuffer(raw[: 8 * points], "<f8"), dict(zip(run["keys"], single, strict=True))
 
 
-def test_the_page_needs_nothing_but_itself(ran: tuple[Scenario, Signals, str]) -> None:
+def test_the_page_needs_nothing_but_itself(ran):
     page = ran[2]
     assert not re.findall(r"(?:src|href|import|url)\s*[=(]\s*[\"']?(?!data:)(?:https?:)?//", page)
     assert page.count("<script") == page.count("</script>") == 6
     assert "uPlot=function" in page
 
 
-def test_the_numbers_are_those_of_the_run(ran: tuple[Scenario, Signals, str]) -> None:
+def test_the_numbers_are_those_of_the_run(ran):
     _, signals, page = ran
     found = re.search(r'id="run">(.*?)</script>', page, re.DOTALL)
     assert found is not None
@@ -67,7 +64,7 @@ def test_the_numbers_are_those_of_the_run(ran: tuple[Scenario, Signals, str]) ->
     ]
 
 
-def test_the_page_says_what_happened_and_what_was_run(ran: tuple[Scenario, Signals, str]) -> None:
+def test_the_page_says_what_happened_and_what_was_run(ran):
     scenario, signals, page = ran
     for text in (
         "detection_delay_s",
@@ -92,7 +89,7 @@ def test_the_page_says_what_happened_and_what_was_run(ran: tuple[Scenario, Signa
     assert said == sorted(said, key=lambda event: event[0])
 
 
-def test_a_long_run_has_few_points_and_every_peak(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_run_has_few_points_and_every_peak(monkeypatch):
     monkeypatch.setattr("can_rig.drawing.bench.MOST_POINTS", 100)
     scenario = load("ideal", ["duration_s=1.013"])
     signals = signals_without_log(scenario)
@@ -104,14 +101,14 @@ def test_a_long_run_has_few_points_and_every_peak(monkeypatch: pytest.MonkeyPatc
         assert curves[key].min() == np.float32(values.min())
 
 
-def test_a_run_without_a_tick_has_a_page() -> None:
+def test_a_run_without_a_tick_has_a_page():
     scenario = load("ideal", ["duration_s=0.1"])
     empty = Signals(*(np.empty(0) for _ in range(8)))
     page = web_page(scenario, network_of(scenario), empty, metrics(scenario, empty), [], scenario)
     assert "Metrics" in page
 
 
-def test_metrics_have_the_names_of_the_plant() -> None:
+def test_metrics_have_the_names_of_the_plant():
     scenario = load("two-masses", ["duration_s=3", "fault.at_s=1.5"])
     signals = signals_without_log(scenario)
     values, faults = metrics(scenario, signals), fault_metrics(scenario, signals)

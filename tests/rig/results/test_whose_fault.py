@@ -1,10 +1,7 @@
 """Whose fault it is, in runs: the verdict, its time, and undisturbed signals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -52,9 +49,7 @@ def verdicts(signals: Signals, begin_s: float = 0.0, end_s: float = 99.0) -> set
         (["kind=actuator-dead", "left=0.5"], 0.2, Verdict.TORQUE_LOST),
     ],
 )
-def test_a_fault_in_a_lane_change_is_named(
-    fault: list[str], within_s: float, verdict: Verdict
-) -> None:
+def test_a_fault_in_a_lane_change_is_named(fault, within_s, verdict):
     changes = [*LANE_CHANGE, "fault.at_s=3.5", *(f"fault.{key}" for key in fault)]
     scenario, signals = run("default", changes)
     assert verdicts(signals, 0.0, 3.5) == {Verdict.NOTHING}
@@ -63,7 +58,7 @@ def test_a_fault_in_a_lane_change_is_named(
     assert Verdict.BOTH_LOST not in verdicts(signals)
 
 
-def test_the_loss_of_both_channels_is_named_and_that_of_one_is_not_taken_for_it() -> None:
+def test_the_loss_of_both_channels_is_named_and_that_of_one_is_not_taken_for_it():
     scenario, signals = run("default", [*LANE_CHANGE, *BOTH_LOST])
     assert Verdict.BOTH_LOST not in verdicts(signals, 0.0, 4.4)
     found = whose_fault(scenario, signals)
@@ -71,7 +66,7 @@ def test_the_loss_of_both_channels_is_named_and_that_of_one_is_not_taken_for_it(
     assert len(found["BOTH_LOST"]["evidence"]) == len(EVIDENCE)
 
 
-def test_with_both_lost_a_safe_stop_takes_the_commands_back() -> None:
+def test_with_both_lost_a_safe_stop_takes_the_commands_back():
     """As soon as the car does not follow commands that ask for much."""
     _, signals = run("default", [*LANE_CHANGE, *BOTH_LOST, "duration_s=6.5"])
     stopped = signals.mode == Mode.SAFE_STOP
@@ -96,7 +91,7 @@ def test_with_both_lost_a_safe_stop_takes_the_commands_back() -> None:
         ["kind=sensor-dead"],
     ],
 )
-def test_a_sensor_that_is_found_at_fault_is_not_compensated(fault: list[str]) -> None:
+def test_a_sensor_that_is_found_at_fault_is_not_compensated(fault):
     """The deviation is that of a run without compensation."""
     deviations = []
     for compensation in ("on-confirmation", "off"):
@@ -125,9 +120,7 @@ def test_a_sensor_that_is_found_at_fault_is_not_compensated(fault: list[str]) ->
     ],
 )
 @pytest.mark.parametrize("kind", ["step", "sine", "lane-change"])
-def test_no_verdict_takes_away_what_compensates_a_lost_torque(
-    name: str, changes: list[str], kind: str
-) -> None:
+def test_no_verdict_takes_away_what_compensates_a_lost_torque(name, changes, kind):
     """D* is that of the same law with verdicts that are never sure of any place."""
     draw = np.random.default_rng(len(kind))
     for _ in range(2):
@@ -151,7 +144,7 @@ def test_no_verdict_takes_away_what_compensates_a_lost_torque(
 
 
 @pytest.mark.parametrize("noise", ["0", "1e-5", "1e-3"])
-def test_a_finer_sensor_finds_a_dead_motor_at_least_as_soon(noise: str) -> None:
+def test_a_finer_sensor_finds_a_dead_motor_at_least_as_soon(noise):
     settings = ["fault.at_s=1", "duration_s=2"]
     usual, fine = (
         metrics_of(load("default", [*settings, f"plant.sensor.noise_mps2={each}"]))
@@ -160,7 +153,7 @@ def test_a_finer_sensor_finds_a_dead_motor_at_least_as_soon(noise: str) -> None:
     assert 0.0 < fine["detection_delay_s"] <= usual["detection_delay_s"]
 
 
-def test_a_motor_that_dies_beside_a_biased_sensor_is_found_as_soon_as_alone() -> None:
+def test_a_motor_that_dies_beside_a_biased_sensor_is_found_as_soon_as_alone():
     dead = ["fault.0.kind=actuator-dead", "fault.0.at_s=4"]
     biased = ["fault.1.kind=sensor-biased", "fault.1.bias_mps2=0.1", "fault.1.at_s=3"]
     delays = [
@@ -173,7 +166,7 @@ def test_a_motor_that_dies_beside_a_biased_sensor_is_found_as_soon_as_alone() ->
 
 @pytest.mark.parametrize("name", ["default", "noisy", "chassis-can"])
 @pytest.mark.parametrize("seed", range(3))
-def test_a_lost_motor_is_never_the_fault_of_the_sensor(name: str, seed: int) -> None:
+def test_a_lost_motor_is_never_the_fault_of_the_sensor(name, seed):
     """Nor is a healthy car's."""
     changes = ["duration_s=3", "fault.at_s=2", f"seed={seed}"]
     _, signals = run(name, changes)
@@ -184,9 +177,7 @@ def test_a_lost_motor_is_never_the_fault_of_the_sensor(name: str, seed: int) -> 
 
 
 @pytest.mark.parametrize(("for_s", "end_s"), [(3.0, 6.0), (9.0, 12.0)])
-def test_a_lost_force_difference_is_named_until_its_use_shows_that_it_works(
-    for_s: float, end_s: float
-) -> None:
+def test_a_lost_force_difference_is_named_until_its_use_shows_that_it_works(for_s, end_s):
     changes = ["design.compensation=always", "fault.channel=force-difference", "fault.at_s=3",
                f"fault.for_s={for_s}", "duration_s=12", "seed=1"]  # fmt: skip
     _, signals = run("noisy", changes)
@@ -194,7 +185,7 @@ def test_a_lost_force_difference_is_named_until_its_use_shows_that_it_works(
     assert Verdict.FORCE_LOST not in verdicts(signals, end_s + 1.0)
 
 
-def test_the_verdict_waits_while_inputs_are_missing() -> None:
+def test_the_verdict_waits_while_inputs_are_missing():
     scenario, signals = run("default", ["duration_s=0.3", "fault.kind=none"])
     measured = signals.dstar_mps2.copy()
     measured[100:110] = np.nan
@@ -204,7 +195,7 @@ def test_the_verdict_waits_while_inputs_are_missing() -> None:
     assert held.any()
 
 
-def test_what_is_said_of_a_run() -> None:
+def test_what_is_said_of_a_run():
     scenario, signals = run("default", ["duration_s=0.2", "fault.kind=none"])
     assert whose_fault(scenario, signals) == {}
     assert verdict_rows(scenario, {}) == []
@@ -218,7 +209,7 @@ def test_what_is_said_of_a_run() -> None:
     assert not any("{" in each for each in words)
 
 
-def test_the_status_frame_says_the_verdict(tmp_path: Path) -> None:
+def test_the_status_frame_says_the_verdict(tmp_path):
     """As the law itself says it, and what the frame says counts."""
     faults = ["fault.kind=sensor-biased", "fault.at_s=0.2", "duration_s=0.3"]
     scenario = load("default", faults)
@@ -233,7 +224,7 @@ def test_the_status_frame_says_the_verdict(tmp_path: Path) -> None:
     assert verdicts(with_verdict(scenario, network, heard)) == {Verdict.FORCE_LOST}
 
 
-def test_evidence_without_noise_is_finite() -> None:
+def test_evidence_without_noise_is_finite():
     """At rest and without noise every tick of a bias is beyond doubt; run.json has no infinity."""
     rest = ["reference.amplitude_mps2=0", "plant.sensor.noise_mps2=0", "duration_s=2"]
     rest.append("budget.disturbance_mps2=0")

@@ -1,9 +1,5 @@
 """One fault is a table, several are a list: from a file, from ``--set``, from Python, and back."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 from hypothesis import given, strategies as st
 
@@ -28,19 +24,19 @@ left = 0.5
 
 
 @pytest.fixture
-def several(tmp_path: Path) -> str:
+def several(tmp_path):
     file = tmp_path / "several.toml"
     file.write_text(LIST)
     return str(file)
 
 
-def test_a_list_is_read_in_its_order(several: str) -> None:
+def test_a_list_is_read_in_its_order(several):
     drift, dead = load(several).faults
     assert (drift.kind, drift.at_s, drift.drift_per_s) == ("sensor-drift", 0.1, 0.2)
     assert (dead.kind, dead.place, dead.left) == ("actuator-dead", "force-difference", 0.5)
 
 
-def test_a_table_is_the_list_of_one() -> None:
+def test_a_table_is_the_list_of_one():
     one = load("default", ["fault.at_s=3"])
     same = load("default", ["fault.0.at_s=3"])
     listed = load("default", ['fault=[{kind="actuator-dead", channel="torque", at_s=3}]'])
@@ -48,7 +44,7 @@ def test_a_table_is_the_list_of_one() -> None:
     assert isinstance(one.as_dict()["fault"], dict)
 
 
-def test_a_setting_changes_the_fault_of_its_number(several: str) -> None:
+def test_a_setting_changes_the_fault_of_its_number(several):
     changed = load(several, ["fault.1.at_s=0.3", "fault.2.kind=frames-missing"])
     assert [fault.at_s for fault in changed.faults] == [0.1, 0.3, 10.0]
     assert [fault.kind for fault in changed.faults][2] == "frames-missing"
@@ -69,19 +65,19 @@ def test_a_setting_changes_the_fault_of_its_number(several: str) -> None:
         ("fault.0.kind=actuator-ded", r"must be one of 26 words, as 'actuator-dead'"),
     ],
 )
-def test_what_is_wrong_is_named_with_its_number(several: str, setting: str, said: str) -> None:
+def test_what_is_wrong_is_named_with_its_number(several, setting, said):
     with pytest.raises(ScenarioError, match=said):
         load(several, [setting])
 
 
-def test_what_is_recorded_is_read_back(several: str) -> None:
+def test_what_is_recorded_is_read_back(several):
     for scenario in (load(several), load("default"), load("default").healthy):
         again = load_run(scenario.as_dict())
         assert again.fault == scenario.fault
 
 
 @given(at_s=st.floats(0, 1e6), left=st.floats(0, 1, exclude_max=True), late=st.integers(1, 1000))
-def test_a_list_of_tables_from_python_is_exact(at_s: float, left: float, late: int) -> None:
+def test_a_list_of_tables_from_python_is_exact(at_s, left, late):
     faults = [
         {"kind": "actuator-dead", "at_s": at_s, "left": left},
         {"kind": "sensor-late", "late_ticks": late},
@@ -90,7 +86,7 @@ def test_a_list_of_tables_from_python_is_exact(at_s: float, left: float, late: i
     assert (dead.at_s, dead.left, slow.late_ticks) == (at_s, left, late)
 
 
-def test_an_axis_may_be_of_any_fault(several: str) -> None:
+def test_an_axis_may_be_of_any_fault(several):
     scenario, default = load(several).as_dict(), load("default").as_dict()
     assert value_in(scenario, "fault.0.drift_per_s") == 0.2
     base = Base(campaign_of("some", {"scenario": several, "runs": 1}), written(several))
@@ -100,11 +96,11 @@ def test_an_axis_may_be_of_any_fault(several: str) -> None:
     assert value_in(default, "fault.0.at_s") == value_in(default, "fault.at_s") == 10
 
 
-def test_a_difference_names_the_fault(several: str) -> None:
+def test_a_difference_names_the_fault(several):
     (found,) = differing_settings(load(several), load(several, ["fault.1.left=0.25"]))
     assert str(found) == "fault.1.left: 0.5 → 0.25"
 
 
-def test_a_fault_that_never_occurs_is_noted_among_others(several: str) -> None:
+def test_a_fault_that_never_occurs_is_noted_among_others(several):
     (note,) = load(several).notes
     assert note == "note: the fault (actuator-dead at 10 s) never occurs: the run ends at 0.5 s"

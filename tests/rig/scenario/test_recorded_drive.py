@@ -1,7 +1,5 @@
 """A recorded drive as a CSV: units, clocks, gaps, the world beside the speed, and refusals."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from pathlib import Path
@@ -31,7 +29,7 @@ def recorded(folder: Path, text: str, *settings: str) -> SpeedProfile:
     return speed_profile(load("default", given))
 
 
-def test_the_wltc_has_the_figures_of_the_regulation() -> None:
+def test_the_wltc_has_the_figures_of_the_regulation():
     """Distance of each phase in m and its highest speed in km/h: UN GTR No. 15, Annex 1."""
     profile = speed_profile(load("default", [f"drive.file={WLTC}", "duration_s=1801"]))
     seconds, kmh = profile.time_s, 3.6 * profile.speed_mps
@@ -59,7 +57,7 @@ def test_the_wltc_has_the_figures_of_the_regulation() -> None:
         ("time_s,speed_mph", 1609.344 / 3600),
     ],
 )
-def test_the_header_says_the_unit(header: str, factor: float, tmp_path: Path) -> None:
+def test_the_header_says_the_unit(header, factor, tmp_path):
     profile = recorded(tmp_path, f"{header}\n0,36\n1,37.5\n")
     assert profile.speed_mps == pytest.approx([36 * factor, 37.5 * factor], rel=1e-15)
 
@@ -74,14 +72,14 @@ def test_the_header_says_the_unit(header: str, factor: float, tmp_path: Path) ->
         ["2026-05-04 10:00:00,10", "2026-05-04 10:00:01.5,11", "2026-05-04 10:00:03,12"],
     ],
 )
-def test_absolute_times_count_from_the_first_row(rows: list[str], tmp_path: Path) -> None:
+def test_absolute_times_count_from_the_first_row(rows, tmp_path):
     for header in ("time,speed_mps", ""):
         profile = recorded(tmp_path, "\n".join([header, *rows]))
         assert profile.time_s == pytest.approx([0.0, 1.5, 3.0], abs=1e-6)
         assert profile.speed_mps.tolist() == [10.0, 11.0, 12.0]
 
 
-def test_columns_stand_in_any_order_and_others_are_named(tmp_path: Path) -> None:
+def test_columns_stand_in_any_order_and_others_are_named(tmp_path):
     text = "lat;speed_kmh;lon;time_ms\n48,1;36,0;11,2;500\n48,1;45,0;11,2;2500\n"
     profile = recorded(tmp_path, text)
     assert profile.time_s.tolist() == [0.5, 2.5] and profile.speed_mps.tolist() == [10.0, 12.5]
@@ -89,7 +87,7 @@ def test_columns_stand_in_any_order_and_others_are_named(tmp_path: Path) -> None
     assert note.endswith("columns without effect: lat, lon")
 
 
-def test_rows_without_a_speed_are_bridged_up_to_the_longest_gap(tmp_path: Path) -> None:
+def test_rows_without_a_speed_are_bridged_up_to_the_longest_gap(tmp_path):
     text = "time_s,speed_mps\n0,10\n1,\n2,nan\n4,12\n"
     assert recorded(tmp_path, text)(np.array([2.0])) == [11.0]
     with pytest.raises(ScenarioError, match=r"line 5: 4 s without a speed since line 2: must be"):
@@ -104,9 +102,7 @@ def test_rows_without_a_speed_are_bridged_up_to_the_longest_gap(tmp_path: Path) 
     st.lists(st.floats(0.0, 60.0), min_size=30, max_size=30),
     st.floats(0.5, 9.0),
 )
-def test_no_row_is_further_from_the_one_before_than_the_rate_allows(
-    intervals: list[float], speeds: list[float], rate: float
-) -> None:
+def test_no_row_is_further_from_the_one_before_than_the_rate_allows(intervals, speeds, rate):
     times = np.cumsum(intervals)
     asked = np.array(speeds[: len(times)])
     driven = asked.copy()
@@ -119,7 +115,7 @@ def test_no_row_is_further_from_the_one_before_than_the_rate_allows(
             assert driven[k] == asked[k]  # nothing else is changed
 
 
-def test_what_was_limited_is_said(tmp_path: Path) -> None:
+def test_what_was_limited_is_said(tmp_path):
     text = "time_s,speed_mps\n0,10\n1,30\n2,20\n3,21\n"
     profile = recorded(tmp_path, text)
     assert profile.speed_mps == pytest.approx([10.0, 18.0, 20.0, 21.0], abs=1e-6)
@@ -128,7 +124,7 @@ def test_what_was_limited_is_said(tmp_path: Path) -> None:
     assert notes_of_drive(load("default")) == ()
 
 
-def test_a_drive_brings_its_world(tmp_path: Path) -> None:
+def test_a_drive_brings_its_world(tmp_path):
     """The same straight lines at every tick as the columns say, with a disturbance on top."""
     rows = ["0,20,0,1,100,50,3", "2,22,5,0.4,300,-50,5"]
     header = "time_s,speed_mps,bank_percent,friction,side_force_n,yaw_moment_nm,steering_kick_nm"
@@ -183,9 +179,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("text", "reason"), BAD.items(), ids=range(len(BAD)))
-def test_what_is_wrong_is_one_line_with_file_and_line(
-    text: str, reason: str, tmp_path: Path
-) -> None:
+def test_what_is_wrong_is_one_line_with_file_and_line(text, reason, tmp_path):
     with pytest.raises(ScenarioError) as caught:
         recorded(tmp_path, text)
     message = str(caught.value)

@@ -1,7 +1,5 @@
 """What a scenario may not say: one line that names the key, wherever the key stands."""
 
-from __future__ import annotations
-
 import warnings
 
 import pytest
@@ -151,9 +149,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("name", "settings", "line"), REFUSED)
-def test_what_a_scenario_may_not_say_is_one_line_that_names_the_key(
-    name: str, settings: tuple[str, ...], line: str
-) -> None:
+def test_what_a_scenario_may_not_say_is_one_line_that_names_the_key(name, settings, line):
     with pytest.raises(ScenarioError) as caught, warnings.catch_warnings(action="error"):
         load(name, settings)
     message = str(caught.value)

@@ -4,7 +4,6 @@ import dataclasses
 import json
 import re
 import warnings
-from typing import Any
 
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -244,7 +243,7 @@ SCHEMA = TypeAdapter(PlantSettings).json_schema()["properties"]
 
 
 @pytest.mark.parametrize("key", CAR)
-def test_every_parameter_of_the_car_has_two_bounds_around_its_default(key: str) -> None:
+def test_every_parameter_of_the_car_has_two_bounds_around_its_default(key):
     low, high = SCHEMA[key]["minimum"], SCHEMA[key]["maximum"]
     assert low <= getattr(VehicleParameters(), key) <= high
     for beyond in (low - 1.0, low - 1e-9 * max(low, 1e-3), high * (1 + 1e-9), 1e300, -1e300):
@@ -260,9 +259,7 @@ cars = st.fixed_dictionaries(
 
 @given(cars)
 @settings(deadline=None)
-def test_a_car_within_bounds_runs_or_is_refused_in_one_line_without_a_warning(
-    car: dict[str, float],
-) -> None:
+def test_a_car_within_bounds_runs_or_is_refused_in_one_line_without_a_warning(car):
     changes = [f"plant.{key}={value!r}" for key, value in car.items()]
     with warnings.catch_warnings(action="error"):
         try:
@@ -283,12 +280,12 @@ def test_a_car_within_bounds_runs_or_is_refused_in_one_line_without_a_warning(
         lambda: PlantSettings(weight_kg=1.0),
     ],
 )
-def test_a_bound_holds_wherever_settings_are_made(make: Any) -> None:
+def test_a_bound_holds_wherever_settings_are_made(make):
     with pytest.raises(ValidationError):
         make()
 
 
-def test_what_a_kind_of_plant_is_follows_from_one_table() -> None:
+def test_what_a_kind_of_plant_is_follows_from_one_table():
     car, example = PlantSettings(), load("chapter-2").plant
     own = PlantSettings(kind="mycar:Car")
     assert (car.is_car, car.is_class) == (True, False)

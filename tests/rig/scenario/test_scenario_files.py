@@ -1,7 +1,5 @@
 """The file behind a scenario's name, and the error for a missing file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The shipped scenarios, driven: every loss is found, and no working channel is lost."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -42,13 +40,13 @@ def stays_lost(states: NDArray[np.int64]) -> bool:
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_its_loss_is_found_and_its_healthy_drive_raises_no_alarm(name: str) -> None:
+def test_its_loss_is_found_and_its_healthy_drive_raises_no_alarm(name):
     scenario = load(name)
     assert alarms(scenario) == 0
     assert confirmed_after_s(scenario) <= LATEST_OF_S.get(name, LATEST_S)
 
 
-def test_the_array_is_orthogonal() -> None:
+def test_the_array_is_orthogonal():
     for i in range(4):
         for j in range(i):
             assert len({(row[i], row[j]) for row in L9}) == 9
@@ -56,7 +54,7 @@ def test_the_array_is_orthogonal() -> None:
 
 @pytest.mark.parametrize("levels", L9)
 @pytest.mark.parametrize("name", ["default", "noisy", "lane-change"])
-def test_cars_that_are_20_percent_off_raise_no_alarm(name: str, levels: str) -> None:
+def test_cars_that_are_20_percent_off_raise_no_alarm(name, levels):
     """All 81 of them: ``can-rig campaign cars``."""
     scenario = load(name, [] if name == "lane-change" else ["duration_s=11"])
     shares = {key: 0.2 * (int(level) - 1) for key, level in zip(UNCERTAIN, levels, strict=True)}
@@ -67,7 +65,7 @@ def test_cars_that_are_20_percent_off_raise_no_alarm(name: str, levels: str) -> 
 
 
 @pytest.mark.parametrize("name", ["default", "chassis-can"])
-def test_what_is_lost_stays_lost_whatever_the_noise(name: str) -> None:
+def test_what_is_lost_stays_lost_whatever_the_noise(name):
     """And is made up for: without compensation D* would be 1 m/s² off."""
     scenario = load(name)
     at = round(scenario.loss.at_s / scenario.tick_s)
@@ -79,7 +77,7 @@ def test_what_is_lost_stays_lost_whatever_the_noise(name: str) -> None:
 
 
 @pytest.mark.parametrize("rear", [-0.2, 0.0, 0.2])
-def test_half_of_the_torque_stays_lost_in_a_slow_car_with_soft_front_tires(rear: float) -> None:
+def test_half_of_the_torque_stays_lost_in_a_slow_car_with_soft_front_tires(rear):
     """Whose first ticks after the loss are clear, and show another share than the later ones."""
     scenario = load("partial-loss", ["duration_s=12"])
     shares = dict(zip(UNCERTAIN, (0.0, -0.2, rear, -0.2), strict=True))
@@ -88,7 +86,7 @@ def test_half_of_the_torque_stays_lost_in_a_slow_car_with_soft_front_tires(rear:
     assert stays_lost(state[round(scenario.loss.at_s / scenario.tick_s) :])
 
 
-def test_the_wltc_has_every_mode_and_a_loss_stays_known_through_its_stops() -> None:
+def test_the_wltc_has_every_mode_and_a_loss_stays_known_through_its_stops():
     beside = ["fault.1.kind=frames-missing", "fault.1.channel=sensor", "fault.1.for_s=2"]
     scenario = load("wltc", ["fault.0.at_s=885", *beside, "fault.1.at_s=1100"])
     trace = frameless(scenario, network_of(scenario))

@@ -1,11 +1,7 @@
 """The thesis's figures: the continuous loop against closed forms, the firmware against both."""
 
-from __future__ import annotations
-
 import struct
-from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 
 import control
 import numpy as np
@@ -17,7 +13,7 @@ from can_rig.errors import ScenarioError
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.scenario.build import continuous_design, continuous_plant
 from can_rig.scenario.settings import Scenario
-from can_rig.thesis.comparisons import Comparison, both, compare, compare_scenario
+from can_rig.thesis.comparisons import both, compare, compare_scenario
 from can_rig.thesis.continuous import OUTPUTS, closed_loop, solve
 from can_rig.thesis.figures import refuse_existing
 from firmware_model.design.factors import realised
@@ -37,7 +33,7 @@ PLANTS = ("thesis-step", "chapter-2", "nonminimum-phase", "oversteering", "pendu
 
 @pytest.mark.parametrize("left", [(1.0, 1.0), (0.0, 1.0), (0.5, 1.0), (1.0, 0.0)])
 @pytest.mark.parametrize("name", PLANTS)
-def test_the_loop_is_that_of_its_equations(name: str, left: tuple[float, float]) -> None:
+def test_the_loop_is_that_of_its_equations(name, left):
     """Of u1 = C (r - y), u2 = F̂ d̂, d̂ = F1 u + F2 y and y = G u, at each frequency by itself."""
     scenario = loaded(name, "design.compensation=always")
     plant, chosen = continuous_plant(scenario.plant), continuous_design(scenario)
@@ -59,7 +55,7 @@ def test_the_loop_is_that_of_its_equations(name: str, left: tuple[float, float])
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_healthy_error_is_one_less_q_hat(variant: str) -> None:
+def test_healthy_error_is_one_less_q_hat(variant):
     """(3.33): y = q̂ r, so a step leaves e = (1 + t/τ) exp(-t/τ)."""
     scenario = loaded("thesis-step", f"plant.variant={variant}", "duration_s=0.5")
     solution, t = solve(scenario), np.arange(500) * 1e-3
@@ -69,7 +65,7 @@ def test_healthy_error_is_one_less_q_hat(variant: str) -> None:
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_error_when_broken_is_that_of_the_broken_loop(variant: str) -> None:
+def test_error_when_broken_is_that_of_the_broken_loop(variant):
     """Lost from the start: y = q G1 C e, so e = (1 - q̂)/(1 - q̂ + q̂ q) r, whatever the car."""
     scenario = loaded("thesis-step", f"plant.variant={variant}", "fault.at_s=0.0", "duration_s=0.1")
     lag, q_hat = np.array([1e-3, 1.0]), np.array([1e-6, 2e-3, 1.0])
@@ -79,7 +75,7 @@ def test_error_when_broken_is_that_of_the_broken_loop(variant: str) -> None:
     np.testing.assert_allclose(solve(scenario).error, expected, atol=1e-8)
 
 
-def test_chapter_2_s_theorems() -> None:
+def test_chapter_2_s_theorems():
     """(2.8), (2.9): d̂ = 0 while healthy and G1 u1 when broken; y = G2 u2 then."""
     scenario = loaded("chapter-2")
     healthy = solve(scenario.healthy)
@@ -95,7 +91,7 @@ def test_chapter_2_s_theorems() -> None:
 
 
 @pytest.mark.parametrize("channel", ["torque", "force-difference"])
-def test_the_fault_takes_the_input_and_leaves_the_state(channel: str) -> None:
+def test_the_fault_takes_the_input_and_leaves_the_state(channel):
     """Against a stiff solver that is stopped and started at both switches."""
     scenario = loaded(
         "thesis-sine",
@@ -134,9 +130,7 @@ def peak_after_the_loss(error: FloatArray, tick_s: float) -> float:
 @pytest.mark.parametrize("tick_s", [0.0001, 0.001])
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("name", ["thesis-step", "thesis-sine"])
-def test_the_peak_after_the_loss_is_the_continuous_one(
-    name: str, variant: str, tick_s: float
-) -> None:
+def test_the_peak_after_the_loss_is_the_continuous_one(name, variant, tick_s):
     """Within 0.5 %, or by what the tick costs a law that has no decision to make."""
     scenario = loaded(name, f"plant.variant={variant}", f"tick_s={tick_s}", "duration_s=10.7")
     loop = both(scenario)
@@ -180,7 +174,7 @@ def undecided(scenario: Scenario) -> FloatArray:
     return np.array(errors)
 
 
-def test_the_distances_go_with_the_tick() -> None:
+def test_the_distances_go_with_the_tick():
     """Commands are held for a tick, so the sampled loop is half a tick late: order one."""
     coarse, fine = (compare([f"tick_s={t}", "duration_s=12.0"])[:3] for t in (0.002, 0.001))
     for far, near in zip(coarse, fine, strict=True):
@@ -190,7 +184,7 @@ def test_the_distances_go_with_the_tick() -> None:
 
 
 @pytest.mark.parametrize("name", ["pendulum", "oversteering"])
-def test_the_distances_of_an_unstable_plant_go_with_the_tick(name: str) -> None:
+def test_the_distances_of_an_unstable_plant_go_with_the_tick(name):
     settings = (
         "design.compensation=always", "latency_ticks=0", "duration_s=4", "fault.at_s=2",
         "plant.sensor.noise_mps2=0", "limits.torque_nm=1e9", "limits.force_difference_n=1e9",
@@ -202,7 +196,7 @@ def test_the_distances_of_an_unstable_plant_go_with_the_tick(name: str) -> None:
         assert ratio == pytest.approx(2.0, rel=0.1), of
 
 
-def test_what_has_no_continuous_counterpart_is_refused() -> None:
+def test_what_has_no_continuous_counterpart_is_refused():
     with pytest.raises(ScenarioError, match=r"fault.kind = 'frames-missing'"):
         solve(loaded("thesis-step", "fault.kind=frames-missing"))
     with pytest.raises(ScenarioError, match=r"reference.kind = 'csv'"):
@@ -220,9 +214,7 @@ def test_what_has_no_continuous_counterpart_is_refused() -> None:
         ("ideal", "plant.sensor.dead_time_s=0.004", "dead times"),
     ],
 )
-def test_figures_of_what_the_continuous_loop_lacks_are_refused(
-    name: str, setting: str, message: str
-) -> None:
+def test_figures_of_what_the_continuous_loop_lacks_are_refused(name, setting, message):
     with pytest.raises(ScenarioError, match=f"scenario {name}: .*{message}"):
         compare_scenario(name, [setting])
 
@@ -230,17 +222,17 @@ def test_figures_of_what_the_continuous_loop_lacks_are_refused(
 @pytest.mark.parametrize(
     "setting", ["fault.kind=none", "reference.kind=sine", "plant.kind=chapter-2", "plant.variant=x"]
 )
-def test_another_figure_is_refused(setting: str) -> None:
+def test_another_figure_is_refused(setting):
     with pytest.raises(ScenarioError, match=f"--set {setting}"):
         compare([setting])
 
 
 @pytest.fixture(scope="module")
-def short() -> Sequence[Comparison]:
+def short():
     return compare(["duration_s=0.2", "fault.at_s=0.1"])
 
 
-def test_distance_after_the_loss(short: Sequence[Comparison]) -> None:
+def test_distance_after_the_loss(short):
     healthy, *_, error, _ = short
     assert healthy.distance_after_loss(healthy.curves[0]) is None
     curve = error.curves[0]
@@ -250,7 +242,7 @@ def test_distance_after_the_loss(short: Sequence[Comparison]) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_the_command_draws_every_figure_of_print_size(tmp_path: Path) -> None:
+def test_the_command_draws_every_figure_of_print_size(tmp_path):
     words = ("figures", "--out", tmp_path / "new", "--set", "duration_s=0.05", "--set",
              "fault.at_s=0.02")  # fmt: skip
     first = asked(*words)
@@ -267,7 +259,7 @@ def test_the_command_draws_every_figure_of_print_size(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["thesis-step", "thesis-sine", "default", "noisy"])
-def test_the_supervision_changes_nothing_of_the_thesis(name: str) -> None:
+def test_the_supervision_changes_nothing_of_the_thesis(name):
     """The law alone gives the bits of the supervised law that compensates always."""
     settings = ("design.compensation=always", "duration_s=2", "fault.at_s=1")
     full, alone = (

@@ -1,9 +1,5 @@
 """Controllers through the same cases: figures worked out again from a run with frames."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -20,7 +16,7 @@ LOST = {"fault.kind": "actuator-dead", "fault.at_s": 0.8}
 SHORT = {"duration_s": 1.2}
 
 
-def test_the_figures_are_those_of_a_run_with_frames(tmp_path: Path) -> None:
+def test_the_figures_are_those_of_a_run_with_frames(tmp_path):
     found = can_rig.compare(["ours", "pi"], changes=SHORT, cases={"lost": LOST, "none": {
         "fault.kind": "none", "plant.mass_kg*": 1.1, "model.mass_kg*": 1.0}})  # fmt: skip
     assert [(row.case, row.controller) for row in found.rows] == [
@@ -49,13 +45,13 @@ def test_the_figures_are_those_of_a_run_with_frames(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("group", CASES)
-def test_every_shipped_case_loads(group: str) -> None:
+def test_every_shipped_case_loads(group):
     for changes in CASES[group].values():
         plain = {key: value for key, value in changes.items() if not key.endswith("*")}
         assert load("default", as_settings(plain))
 
 
-def test_a_run_that_fails_is_a_line_and_the_others_go_on() -> None:
+def test_a_run_that_fails_is_a_line_and_the_others_go_on():
     done = asked(
         "compare", "pi", "no_such_module:C", "--set", "duration_s=0.2", "--case", "a:seed=1"
     )
@@ -75,13 +71,13 @@ def test_a_run_that_fails_is_a_line_and_the_others_go_on() -> None:
         (["--case", "x:seed*=2"], "must be a factor of a key of plant or model"),
     ],
 )
-def test_a_bad_case_is_one_line(words: list[str], line: str) -> None:
+def test_a_bad_case_is_one_line(words, line):
     done = asked("compare", "pi", "--set", "duration_s=0.1", *words)
     assert done.returncode == 2
     assert line in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_python_names_its_own_argument() -> None:
+def test_python_names_its_own_argument():
     with pytest.raises(ScenarioError, match=r"cases = 'holidays': must be faults, weather, cars"):
         can_rig.compare(["pi"], cases="holidays")

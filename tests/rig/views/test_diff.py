@@ -1,7 +1,5 @@
 """Two runs beside each other; a log under a different scenario."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -29,7 +27,7 @@ def table(label: str = "a", start: int = 0, **columns: list[float]) -> SignalTab
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     for name, change in (("a", ()), ("again", ()), ("later", ("--set", "fault.at_s=0.25"))):
         done = asked("run", "thesis-sine", *SHORT, *change, "--out", folder / name)
@@ -37,7 +35,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_same_run_twice_is_the_same(runs: Path) -> None:
+def test_the_same_run_twice_is_the_same(runs):
     done = asked("diff", runs / "a", runs / "again")
     assert (done.returncode, done.stderr) == (0, "")
     assert "the same in all 300 rows" in done.stdout
@@ -49,7 +47,7 @@ def test_the_same_run_twice_is_the_same(runs: Path) -> None:
     assert json.loads(log.stdout)["rows"] == 300  # a log, though signals.csv is another .csv
 
 
-def test_a_later_fault_parts_them_at_the_fault(runs: Path) -> None:
+def test_a_later_fault_parts_them_at_the_fault(runs):
     done = asked("diff", runs / "a", runs / "later", "--out", "apart.png", "--json")
     assert done.returncode == 1
     result = json.loads(done.stdout)
@@ -69,9 +67,7 @@ def test_a_later_fault_parts_them_at_the_fault(runs: Path) -> None:
     arrays(np.float64, 40, elements=st.sampled_from([0.0, 1.0, 1.5, -2.0, math.nan])),
     st.sampled_from([0.0, 0.5, 1.0, 3.0]),
 )
-def test_differences_are_those_of_a_plain_loop(
-    a: np.ndarray, b: np.ndarray, tolerance: float
-) -> None:
+def test_differences_are_those_of_a_plain_loop(a, b, tolerance):
     (found,) = compare(table(x=list(a)), table(x=list(b)), {"x": tolerance}).signals
     beyond, largest = [], 0.0
     for row, (one, other) in enumerate(zip(a.tolist(), b.tolist(), strict=True)):
@@ -91,7 +87,7 @@ def test_differences_are_those_of_a_plain_loop(
         assert found.first_at_s is None
 
 
-def test_rows_and_columns_of_one_run_alone_are_a_difference() -> None:
+def test_rows_and_columns_of_one_run_alone_are_a_difference():
     longer = compare(table(x=[1, 2, 3]), table("b", x=[1, 2]), {})
     assert (longer.rows, longer.only_a, longer.only_b, longer.same) == (2, 1, 0, False)
     shifted = compare(table(x=[1, 2, 3]), table("b", start=1, x=[2, 3, 4]), {})
@@ -104,7 +100,7 @@ def test_rows_and_columns_of_one_run_alone_are_a_difference() -> None:
         compare(table(x=[1]), table("b", start=5, x=[1]), {})
 
 
-def test_bad_words_are_one_line(runs: Path) -> None:
+def test_bad_words_are_one_line(runs):
     Path("bad.csv").write_text("time_s,x\n0,1\n1,two\n")
     Path("ragged.csv").write_text("time_s,x\n0,1\n1\n")
     Path("back.csv").write_text("time_s,x\n1,1\n0,1\n")
@@ -134,7 +130,7 @@ def test_bad_words_are_one_line(runs: Path) -> None:
         assert refused.stderr.count("\n") == 1
 
 
-def test_tolerances_and_units() -> None:
+def test_tolerances_and_units():
     assert tolerances_of(["a=0.5", "b=1e-3"]) == {"a": 0.5, "b": 1e-3}
     expected = {
         "torque_nm": "N m",
@@ -151,7 +147,7 @@ def test_tolerances_and_units() -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_the_picture_shows_the_place(runs: Path) -> None:
+def test_the_picture_shows_the_place(runs):
     a, b = (read_table(runs / name, load("default")) for name in ("a", "later"))
     difference = compare(a, b, {})
     page = difference_page(a, b, difference)
@@ -164,14 +160,14 @@ def test_the_picture_shows_the_place(runs: Path) -> None:
     assert len(same.axes) == 2 * len(a.recorded)
 
 
-def test_what_if_nothing_changes_is_the_log_itself(runs: Path) -> None:
+def test_what_if_nothing_changes_is_the_log_itself(runs):
     done = asked("replay", runs / "a", "--what-if", "--out", "same", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["same"]
     assert Path("same/bus.log").read_bytes() == (runs / "a" / "bus.log").read_bytes()
 
 
-def test_what_if_the_fault_comes_later_is_that_run(runs: Path) -> None:
+def test_what_if_the_fault_comes_later_is_that_run(runs):
     """The logged sine through the other scenario is the run that was made with it."""
     done = asked("replay", runs / "a", "--what-if", "--set", "fault.at_s=0.25", "--out", "if")
     assert done.returncode == 0, done.stderr
@@ -184,7 +180,7 @@ def test_what_if_the_fault_comes_later_is_that_run(runs: Path) -> None:
     assert "different from 0.2" in done.stdout
 
 
-def test_what_if_takes_its_reference_from_the_log(runs: Path) -> None:
+def test_what_if_takes_its_reference_from_the_log(runs):
     """A scenario with a reference of its own, a step, drives the logged sine."""
     change = ("--set", "fault.at_s=0.2", "--out", "step")
     log = runs / "a" / "bus.log"
@@ -193,7 +189,7 @@ def test_what_if_takes_its_reference_from_the_log(runs: Path) -> None:
     assert Path("step/bus.log").read_bytes() == log.read_bytes()
 
 
-def test_what_if_refuses_what_makes_no_sense(runs: Path) -> None:
+def test_what_if_refuses_what_makes_no_sense(runs):
     unknown_delay = (
         "--set", "plant.force_difference_actuator.dead_time_s=0.002",
         "--set", "model.force_difference_actuator.dead_time_s=0",

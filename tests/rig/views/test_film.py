@@ -27,7 +27,7 @@ def ink(picture: Image.Image, colour: str) -> int:
 
 
 @pytest.fixture(scope="module")
-def drawn(tmp_path_factory) -> dict:
+def drawn(tmp_path_factory):
     """The scene of a run in which the motor dies at 1 s."""
     settings = ["duration_s=4", "fault.at_s=1"]
     scenario, signals = recorded(tmp_path_factory.mktemp("run"), "default", *settings)

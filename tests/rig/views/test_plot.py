@@ -1,7 +1,5 @@
 """Signals of any log through any DBC: which are drawn, where, and with what beside the axes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +32,7 @@ START_S = 1_700_000_000
 
 
 @pytest.fixture
-def car() -> Path:
+def car():
     Path("car.dbc").write_text(CAR)
     lines = [
         f"({START_S + at / 100:.6f}) can0 100#{4 * at:02X}0050{min(at // 20, 2):02X}\n"
@@ -45,7 +43,7 @@ def car() -> Path:
     return Path("car.log")
 
 
-def test_any_dbc_any_log(car: Path) -> None:
+def test_any_dbc_any_log(car):
     wanted = ["ENGINE.Speed", "WHEEL.Speed", "Temperature", "State"]
     done = asked("plot", car, *wanted, "--dbc", "car.dbc")
     assert (done.returncode, done.stderr) == (0, "")
@@ -66,7 +64,7 @@ def test_any_dbc_any_log(car: Path) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_one_panel_a_unit_words_on_the_axis_and_a_date(car: Path) -> None:
+def test_one_panel_a_unit_words_on_the_axis_and_a_date(car):
     messages = decode_log(car, "car.dbc")
     pairs = [
         ("ENGINE", "Speed"),
@@ -93,7 +91,7 @@ def test_one_panel_a_unit_words_on_the_axis_and_a_date(car: Path) -> None:
     assert temperature.get_xlabel() == "time in s since 2023-11-14 22:13:20 UTC"
 
 
-def test_a_run_folder_has_its_own_dbc_and_fault(tmp_path: Path) -> None:
+def test_a_run_folder_has_its_own_dbc_and_fault(tmp_path):
     log, _, scenario = record(
         tmp_path,
         "duration_s=0.05",
@@ -117,7 +115,7 @@ def test_a_run_folder_has_its_own_dbc_and_fault(tmp_path: Path) -> None:
 @given(
     arrays(np.float64, st.integers(1, 90_001), elements=st.floats(-1e6, 1e6), fill=st.floats(-1, 1))
 )
-def test_a_long_signal_keeps_every_peak(values: np.ndarray) -> None:
+def test_a_long_signal_keeps_every_peak(values):
     time_s = np.arange(len(values)) * 1e-3
     thin_s, thin = thinned(time_s, values)
     assert len(thin) <= MAX_POINTS + MAX_POINTS // 2
@@ -126,7 +124,7 @@ def test_a_long_signal_keeps_every_peak(values: np.ndarray) -> None:
     assert (np.diff(thin_s) > 0).all()
 
 
-def test_names() -> None:
+def test_names():
     messages = Decoder(load_database(DBC / "steer_by_wire.dbc")).messages
     assert resolve(messages, "DStar") == ("DSTAR_FEEDBACK", "DStar")
     assert resolve(messages, "CONTROLLER_STATUS.Tick") == ("CONTROLLER_STATUS", "Tick")

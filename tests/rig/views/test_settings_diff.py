@@ -1,7 +1,5 @@
 """Which settings two runs differ in, and what the runs are called beside each other."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -25,7 +23,7 @@ def keys(a: list[str], b: list[str]) -> dict[str, tuple[object, object]]:
     return {setting.key: (setting.a, setting.b) for setting in found}
 
 
-def test_every_key_that_differs_is_listed_once_with_both_values() -> None:
+def test_every_key_that_differs_is_listed_once_with_both_values():
     assert keys([], []) == {}
     assert keys(["tick_s=0.002"], []) == {"tick_s": (0.002, 0.001)}
     assert keys(["fault.for_s=2.0", "design.alpha=3"], ["fault.kind=none"]) == {
@@ -35,21 +33,21 @@ def test_every_key_that_differs_is_listed_once_with_both_values() -> None:
     }
 
 
-def test_a_model_that_follows_the_plant_is_not_listed_beside_it() -> None:
+def test_a_model_that_follows_the_plant_is_not_listed_beside_it():
     assert list(keys(["plant.speed_mps=12.0"], [])) == ["plant.speed_mps"]
     assert list(keys(["model.speed_mps=12.0"], [])) == ["model.speed_mps"]
     both = keys(["plant.speed_mps=12.0", "model.speed_mps=11.0"], [])
     assert list(both) == ["plant.speed_mps", "model.speed_mps"]
 
 
-def test_the_name_and_description_of_a_scenario_are_no_settings() -> None:
+def test_the_name_and_description_of_a_scenario_are_no_settings():
     found = differing_settings(load("thesis-step"), load("thesis-sine"))
     assert {setting.key for setting in found} == {"reference.kind"}
     assert str(found[0]) == "reference.kind: step → sine"
     assert str(SettingDifference("fault.for_s", 0.25, None)) == "fault.for_s: 0.25 → none"
 
 
-def test_titles_are_as_long_as_tells_the_paths_apart() -> None:
+def test_titles_are_as_long_as_tells_the_paths_apart():
     def named(label: str, scenario: str | None = None) -> SignalTable:
         known = None if scenario is None else load(scenario)
         return SignalTable(label, np.zeros(0, dtype=np.int64), {}, known)
@@ -63,7 +61,7 @@ def test_titles_are_as_long_as_tells_the_paths_apart() -> None:
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     for name, change in (
         ("a", ()),
@@ -79,7 +77,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_diff_lists_them_in_the_table_and_in_json(runs: Path) -> None:
+def test_diff_lists_them_in_the_table_and_in_json(runs):
     done = asked("diff", runs / "a", runs / "later")
     assert done.returncode == 1
     rows = [line.split() for line in done.stdout.splitlines()]
@@ -94,7 +92,7 @@ def test_diff_lists_them_in_the_table_and_in_json(runs: Path) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_the_picture_names_runs_settings_and_signals(runs: Path) -> None:
+def test_the_picture_names_runs_settings_and_signals(runs):
     """And has the units of the network, which for chapter 2 are none."""
     a, b = (read_table(runs / name, load("default")) for name in ("a", "later"))
     page = difference_page(a, b, compare(a, b, {}))

@@ -47,7 +47,7 @@ VALUES = """(async () => {
 
 
 @pytest.fixture
-def log(tmp_path) -> tuple[Path, list[can.Message]]:
+def log(tmp_path):
     """Random frames of every message of ``DATABASE``, of an unknown message, and special frames."""
     (tmp_path / "any.dbc").write_text(DATABASE)
     random, messages = np.random.default_rng(7), []
@@ -152,7 +152,7 @@ def test_frames_beyond_the_most_are_said_to_be_missing(page, log, tmp_path, monk
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory) -> Path:
+def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("two")
     for name, duration_s, at_s in (("a", 0.6, 0.2), ("b", 0.8, 0.3)):
         settings = "--set", f"duration_s={duration_s}", "--set", f"fault.at_s={at_s}"

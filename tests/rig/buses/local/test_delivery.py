@@ -11,7 +11,7 @@ from tests.processes import wait_for
 from tests.rig.buses.local.nodes import TIMEOUT_S, buses, frame, node, number
 
 
-def test_burst_of_20000_before_the_first_recv_in_one_thread() -> None:
+def test_burst_of_20000_before_the_first_recv_in_one_thread():
     with buses({}, {}) as (sender, receiver):
         for each in range(20_000):
             sender.send(frame(each))
@@ -19,7 +19,7 @@ def test_burst_of_20000_before_the_first_recv_in_one_thread() -> None:
         assert receiver.recv(0) is None
 
 
-def test_no_thread_outlives_its_backlog() -> None:
+def test_no_thread_outlives_its_backlog():
     before = threading.active_count()
     with buses({}, {}) as (sender, receiver):
         for each in range(5):
@@ -33,7 +33,7 @@ def test_no_thread_outlives_its_backlog() -> None:
         wait_for(lambda: threading.active_count() == before)
 
 
-def test_two_processes_burst_at_each_other() -> None:
+def test_two_processes_burst_at_each_other():
     program = """
 for number in range(5000):
     bus.send(can.Message(arbitration_id=1, data=number.to_bytes(4, "little")))
@@ -50,7 +50,7 @@ print("heard all", flush=True)
         assert other.stdout.readline() == "heard all\n"
 
 
-def test_threads_may_send_at_once() -> None:
+def test_threads_may_send_at_once():
     with buses({}, {}) as (sender, receiver):
 
         def burst(identifier: int) -> None:
@@ -68,7 +68,7 @@ def test_threads_may_send_at_once() -> None:
             assert mine == list(range(1000))
 
 
-def test_frame_sent_right_after_a_constructor_is_delivered() -> None:
+def test_frame_sent_right_after_a_constructor_is_delivered():
     with buses({}) as (sender,):
         for each in range(300):  # far more often than the clock of the file system ticks
             with LocalBus("x") as late:
@@ -76,9 +76,7 @@ def test_frame_sent_right_after_a_constructor_is_delivered() -> None:
                 assert number(late.recv(0)) == each
 
 
-def test_silent_listener_is_cut_off_and_both_ends_are_told(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_silent_listener_is_cut_off_and_both_ends_are_told(caplog):
     with buses({"tx_backlog": 50}, {}, {}) as (sender, silent, attentive):
         for each in range(500):
             sender.send(frame(each))
@@ -95,7 +93,7 @@ def test_silent_listener_is_cut_off_and_both_ends_are_told(
         assert number(silent.recv(TIMEOUT_S)) == 7
 
 
-def test_own_queue_that_nobody_reads_is_bounded_too(caplog: pytest.LogCaptureFixture) -> None:
+def test_own_queue_that_nobody_reads_is_bounded_too(caplog):
     with buses({"tx_backlog": 50, "receive_own_messages": True}) as (bus,):
         for each in range(500):
             bus.send(frame(each))
@@ -105,7 +103,7 @@ def test_own_queue_that_nobody_reads_is_bounded_too(caplog: pytest.LogCaptureFix
                 assert number(bus.recv(TIMEOUT_S)) == each
 
 
-def test_send_with_timeout_waits_for_room_and_is_all_or_nothing() -> None:
+def test_send_with_timeout_waits_for_room_and_is_all_or_nothing():
     with buses({}, {}, {}) as (sender, slow, attentive):
         sent = 0
         with pytest.raises(can.CanTimeoutError, match=r"took no frame within 0\.01 s"):
@@ -118,7 +116,7 @@ def test_send_with_timeout_waits_for_room_and_is_all_or_nothing() -> None:
         assert number(slow.recv(TIMEOUT_S)) == sent
 
 
-def test_flush_tx_buffer_discards_what_waits() -> None:
+def test_flush_tx_buffer_discards_what_waits():
     with buses({}, {}) as (sender, receiver):
         for each in range(1000):
             sender.send(frame(each))

@@ -3,7 +3,6 @@
 import fcntl
 import os
 import socket
-from pathlib import Path
 
 import can
 import pytest
@@ -13,9 +12,7 @@ from can_rig.buses.local.bus import LocalBus
 from tests.rig.buses.local.nodes import TIMEOUT_S, buses, frame, node, number, sockets
 
 
-def test_last_node_takes_the_directory_of_a_name_away_but_not_a_users(
-    root: Path, tmp_path: Path
-) -> None:
+def test_last_node_takes_the_directory_of_a_name_away_but_not_a_users(root, tmp_path):
     with buses({}, {}):
         assert (root / "x").is_dir()
     assert not (root / "x").exists()
@@ -26,7 +23,7 @@ def test_last_node_takes_the_directory_of_a_name_away_but_not_a_users(
     assert theirs.is_dir()
 
 
-def test_other_files_in_the_directory_are_left_alone(tmp_path: Path) -> None:
+def test_other_files_in_the_directory_are_left_alone(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "1-abcdef.node").write_text("looks like a node, but is no socket")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as foreign:
@@ -38,7 +35,7 @@ def test_other_files_in_the_directory_are_left_alone(tmp_path: Path) -> None:
         assert (tmp_path / name).exists()
 
 
-def test_buses_of_killed_nodes_are_gone_with_the_next_start_and_no_others(root: Path) -> None:
+def test_buses_of_killed_nodes_are_gone_with_the_next_start_and_no_others(root):
     with node("import time; time.sleep(60)") as killed:
         killed.kill()
         killed.wait()
@@ -64,12 +61,12 @@ def test_buses_of_killed_nodes_are_gone_with_the_next_start_and_no_others(root: 
 
 
 @pytest.mark.parametrize("name", ["a/b", "", ".", "..", ".hidden"])
-def test_wrong_names(name: str) -> None:
+def test_wrong_names(name):
     with pytest.raises(can.CanInitializationError, match="must be a name without"):
         LocalBus(name)
 
 
-def test_longest_path_that_a_socket_can_have(tmp_path: Path) -> None:
+def test_longest_path_that_a_socket_can_have(tmp_path):
     room = local_bus.PATH_MAX - len(str(tmp_path)) - 1
     with LocalBus(f"{tmp_path}/{'y' * room}") as one, LocalBus(one.channel) as other:
         one.send(frame(1))
@@ -78,19 +75,19 @@ def test_longest_path_that_a_socket_can_have(tmp_path: Path) -> None:
         LocalBus(f"{tmp_path}/{'y' * (room + 3)}")
 
 
-def test_directory_that_cannot_be_made() -> None:
+def test_directory_that_cannot_be_made():
     with pytest.raises(can.CanInitializationError, match="No such file or directory"):
         LocalBus("/nowhere/x")
 
 
-def test_root_that_others_can_enter_is_refused(root: Path) -> None:
+def test_root_that_others_can_enter_is_refused(root):
     root.mkdir()
     root.chmod(0o755)
     with pytest.raises(can.CanInitializationError, match="must be a private directory"):
         LocalBus("x")
 
 
-def test_root_without_a_runtime_directory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_root_without_a_runtime_directory(monkeypatch):
     for unusable in ("", "relative", "/nowhere"):
         monkeypatch.setenv("XDG_RUNTIME_DIR", unusable)
         assert local_bus.bus_root().name == f"can-rig-{os.getuid()}"

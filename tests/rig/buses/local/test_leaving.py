@@ -16,9 +16,7 @@ from tests.rig.buses.local.nodes import TIMEOUT_S, buses, frame, node, number, s
 
 
 @pytest.mark.parametrize("burst", [0, 1000], ids=["idle", "backlogged"])
-def test_killed_node_is_cleaned_away(
-    root: Path, burst: int, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_killed_node_is_cleaned_away(root, burst, caplog):
     with buses({}, {}) as (sender, witness):
         with node("import time; time.sleep(60)") as victim:
             for each in range(burst + 1):
@@ -35,7 +33,7 @@ def test_killed_node_is_cleaned_away(
     assert not (root / "x").exists()
 
 
-def test_node_killed_before_anyone_sent_is_cleaned_away(root: Path) -> None:
+def test_node_killed_before_anyone_sent_is_cleaned_away(root):
     with node("import time; time.sleep(60)") as victim:
         victim.kill()
         victim.wait()
@@ -46,7 +44,7 @@ def test_node_killed_before_anyone_sent_is_cleaned_away(root: Path) -> None:
         assert number(receiver.recv(TIMEOUT_S)) == 1
 
 
-def test_socket_of_a_node_that_is_just_joining_is_not_taken_for_dead(root: Path) -> None:
+def test_socket_of_a_node_that_is_just_joining_is_not_taken_for_dead(root):
     with buses({}) as (sender,), (root / "x" / local_bus.GENERATION).open() as lock:
         path = root / "x" / "1-abcdef.node"
         fcntl.flock(lock, fcntl.LOCK_EX)  # as a node does that joins
@@ -63,7 +61,7 @@ def test_socket_of_a_node_that_is_just_joining_is_not_taken_for_dead(root: Path)
             assert joining.recv(100, socket.MSG_DONTWAIT)
 
 
-def test_shutdown_delivers_the_backlog() -> None:
+def test_shutdown_delivers_the_backlog():
     with buses({}, {}) as (sender, receiver):
         for each in range(1000):
             sender.send(frame(each))
@@ -77,7 +75,7 @@ def test_shutdown_delivers_the_backlog() -> None:
     assert received == list(range(1000))
 
 
-def test_shutdown_gives_up_on_a_listener_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
+def test_shutdown_gives_up_on_a_listener_and_says_so(caplog):
     with buses({}, {}) as (sender, _silent):
         for each in range(100):
             sender.send(frame(each))
@@ -85,9 +83,7 @@ def test_shutdown_gives_up_on_a_listener_and_says_so(caplog: pytest.LogCaptureFi
         assert "frames were never read by" in caplog.text
 
 
-def test_nodes_that_leave_together_do_not_wait_for_each_other(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_nodes_that_leave_together_do_not_wait_for_each_other(monkeypatch, caplog):
     monkeypatch.setattr(local_bus, "_SHUTDOWN_S", 60.0)
     with buses({}, {}) as (one, other):
         for each in range(100):
@@ -100,9 +96,7 @@ def test_nodes_that_leave_together_do_not_wait_for_each_other(
         assert not leaving.is_alive()
 
 
-def test_shutdown_does_not_wait_for_a_listener_that_was_cut_off(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_shutdown_does_not_wait_for_a_listener_that_was_cut_off(monkeypatch):
     with buses({"tx_backlog": 50}, {}) as (sender, _silent):
         for each in range(100):
             sender.send(frame(each))
@@ -113,7 +107,7 @@ def test_shutdown_does_not_wait_for_a_listener_that_was_cut_off(
         assert not leaving.is_alive()
 
 
-def test_shutdown_wakes_a_waiting_recv() -> None:
+def test_shutdown_wakes_a_waiting_recv():
     with buses({}) as (bus,):
         caught: list[BaseException] = []
 
@@ -132,7 +126,7 @@ def test_shutdown_wakes_a_waiting_recv() -> None:
         assert bus.fileno() == -1
 
 
-def test_no_descriptor_is_left_behind() -> None:
+def test_no_descriptor_is_left_behind():
     def descriptors() -> int:
         gc.collect()  # a bus that a failed call still refers to keeps its map
         return len(list(Path("/proc/self/fd").iterdir()))

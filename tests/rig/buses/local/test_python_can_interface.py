@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
 import can
@@ -17,7 +16,7 @@ from tests.processes import wait_for
 from tests.rig.buses.local.nodes import TIMEOUT_S, buses, frame, number, sockets
 
 
-def test_fd_frames_need_an_fd_bus() -> None:
+def test_fd_frames_need_an_fd_bus():
     with buses({}, {"fd": True}, {}) as (classic, modern, listener):
         assert classic.protocol is can.CanProtocol.CAN_20
         assert modern.protocol is can.CanProtocol.CAN_FD
@@ -41,14 +40,14 @@ def test_fd_frames_need_an_fd_bus() -> None:
     ],
     ids=str,
 )
-def test_what_is_no_can_frame_is_refused(wrong: dict[str, Any]) -> None:
+def test_what_is_no_can_frame_is_refused(wrong):
     with buses({"fd": True}, {"fd": True}) as (sender, receiver):
         with pytest.raises(can.CanOperationError, match="not a CAN frame"):
             sender.send(can.Message(**wrong))
         assert receiver.recv(0) is None
 
 
-def test_timestamps_are_of_sending_or_preserved() -> None:
+def test_timestamps_are_of_sending_or_preserved():
     with buses({}, {"preserve_timestamps": True}, {}) as (clock, preserver, receiver):
         preserver.send(frame(1, timestamp=123.456789))
         received = receiver.recv(TIMEOUT_S)
@@ -62,7 +61,7 @@ def test_timestamps_are_of_sending_or_preserved() -> None:
         assert received.channel == "x"
 
 
-def test_descriptor_is_readable_while_frames_wait() -> None:
+def test_descriptor_is_readable_while_frames_wait():
     with buses({}, {}) as (sender, receiver):
         assert select.select([receiver], [], [], 0)[0] == []
         sender.send(frame(1))
@@ -72,7 +71,7 @@ def test_descriptor_is_readable_while_frames_wait() -> None:
 
 
 @pytest.mark.parametrize("timeout_s", [0.002, 0.04, 0.06])
-def test_recv_sleeps_while_it_waits(timeout_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recv_sleeps_while_it_waits(timeout_s, monkeypatch):
     looks = []
     look = LocalBus._recv_internal
 
@@ -86,7 +85,7 @@ def test_recv_sleeps_while_it_waits(timeout_s: float, monkeypatch: pytest.Monkey
         assert len(looks) < 10
 
 
-def test_notifier_in_an_event_loop() -> None:
+def test_notifier_in_an_event_loop():
     async def listen() -> list[int]:
         with buses({}, {}) as (sender, receiver):
             reader = can.AsyncBufferedReader()
@@ -99,7 +98,7 @@ def test_notifier_in_an_event_loop() -> None:
     assert asyncio.run(listen()) == list(range(100))
 
 
-def test_python_can_finds_it() -> None:
+def test_python_can_finds_it():
     with (
         can.Bus(interface="local", channel="x", ignore_config=True) as bus,
         can.Bus(interface="local", channel=1, ignore_config=True),
@@ -111,7 +110,7 @@ def test_python_can_finds_it() -> None:
         assert [config["channel"] for config in found] == ["1", "rig", "x"]
 
 
-def test_python_cans_own_logger_listens(root: Path) -> None:
+def test_python_cans_own_logger_listens(root):
     command = [sys.executable, "-u", "-m", "can.logger", "-i", "local", "-c", "x"]
     with (
         buses({}) as (bus,),

@@ -1,7 +1,5 @@
 """FMUs of a linear plant: ``linear.c`` compiled by this machine's compiler, and its description."""
 
-from __future__ import annotations
-
 import inspect
 import shutil
 import subprocess

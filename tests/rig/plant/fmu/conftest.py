@@ -1,11 +1,7 @@
 """FMUs of the thesis's car, of FMI 2 and of FMI 3, built once."""
 
-from __future__ import annotations
-
 import gc
 import tempfile
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +12,7 @@ from tests.rig.plant.fmu.building import COMPILER, build
 
 
 @pytest.fixture(scope="session")
-def cars(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
+def cars(tmp_path_factory):
     """The FMU by version of FMI."""
     if COMPILER is None:
         pytest.skip("no C compiler")
@@ -28,7 +24,7 @@ def cars(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
 
 
 @pytest.fixture(autouse=True)
-def no_folder_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def no_folder_stays(tmp_path, monkeypatch):
     """What an FMU is unpacked into is gone when nothing uses it any more."""
     folder = tmp_path / "temporary"
     folder.mkdir()

@@ -1,7 +1,5 @@
 """A plant that is an FMU moves as its equations do, whatever its type, and as the class of them."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

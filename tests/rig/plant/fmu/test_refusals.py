@@ -1,7 +1,5 @@
 """Refusals in a line each: no FMU, no binary for this machine, missing variables."""
 
-from __future__ import annotations
-
 import re
 import zipfile
 from pathlib import Path
@@ -95,7 +93,7 @@ CHANGES = {  # in the description of FMI 2, line
 
 
 @pytest.fixture(scope="module")
-def library(cars, tmp_path_factory) -> Path:
+def library(cars, tmp_path_factory):
     folder = tmp_path_factory.mktemp("library")
     with zipfile.ZipFile(cars[2]) as fmu:
         name = next(name for name in fmu.namelist() if name.endswith("linear.so"))
