@@ -240,7 +240,7 @@ def test_a_campaign_is_a_table_of_runs(tmp_path: Path) -> None:
         'sampling = "grid"\n[axes]\n"fault.left" = { values = [0.0, 0.5] }\n'
         '[requirements]\nsmall = "torque_peak_nm < 1"\n'
     )
-    found = can_rig.campaign(tmp_path / "two.toml", SHORT, folder=tmp_path / "kept")
+    found = can_rig.campaign(tmp_path / "two.toml", SHORT, folder=tmp_path / "kept", workers=1)
     assert assert_type(found.summary, Summary).rates[0].failed == 2
     row = found.runs.set_index("fault.left").loc[0.5]
     alone = can_rig.run("default", {**SHORT, "fault.left": 0.5, "seed": row["seed"]})

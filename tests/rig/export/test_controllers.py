@@ -314,18 +314,18 @@ class NodeInC:
         return bool(self.library.ecu_is_overdue(self.ecu, ctypes.c_uint32(now_us)))
 
 
-@pytest.mark.parametrize("ppm", [-200, 200])
+@pytest.mark.parametrize("ppm", [-800, 800])
 def test_a_clock_that_drifts_misses_no_frame(ppm):
     """Against the sender's clock the node's clock is off by four ticks at the end."""
     node = NodeInC()
     ends = Transmitter(node.network.reference), Transmitter(node.network.feedback)
-    for tick in range(20_000):
+    for tick in range(5000):
         at_us = tick * TICK_US + ppm * tick * TICK_US // 1_000_000
         assert not node.is_overdue(at_us)
         for end in ends:
             node.take(end.frame(0.0, tick), at_us)
-    assert len(node.sent) == 3 * 20_000
-    assert (node.library.ecu_alive(node.ecu), node.library.ecu_stalls(node.ecu)) == (20_000, 0)
+    assert len(node.sent) == 3 * 5000
+    assert (node.library.ecu_alive(node.ecu), node.library.ecu_stalls(node.ecu)) == (5000, 0)
 
 
 @pytest.mark.parametrize("seed", range(2))

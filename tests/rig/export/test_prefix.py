@@ -83,7 +83,7 @@ def place(tmp_path_factory):
             out = folder / name
             done = CliRunner().invoke(main, ["export", *scenario, *options, "--out", str(out)])
             assert done.exit_code == 0, done.output
-            flags = f"CFLAGS={' '.join(STRICT)} -O1"
+            flags = f"CFLAGS={' '.join(STRICT)} -O0"
             run("make", "-s", "-C", out, flags, "example", *(["bench", "check"] if options else []))
     return folder
 

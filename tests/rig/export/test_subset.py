@@ -461,7 +461,7 @@ BODIES = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(BODIES, st.lists(st.tuples(st.integers(0, 4), st.floats()), min_size=4, max_size=4))
 def test_what_is_translated_never_leaves_its_array(body, runs):
     """Whatever is accepted runs in Python, call after call, with every index in its array."""

@@ -96,7 +96,7 @@ def test_the_folder_is_that_of_both_nodes(name, changes, tmp_path):
     assert {key for key in without if without[key] != on_a_bus[key]} == set()
 
 
-@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     sensors=st.lists(
         st.fixed_dictionaries({

@@ -48,12 +48,17 @@ class Failing:
 """
 
 
-@pytest.fixture
-def there(tmp_path):
-    """A run folder that is to be replaced."""
-    folder = tmp_path / "demo"
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made") / "demo"
     assert execute(SCENARIO, folder, StopRequest()) is not None
     return folder
+
+
+@pytest.fixture
+def there(made, tmp_path):
+    """A run folder that is to be replaced."""
+    return shutil.copytree(made, tmp_path / "demo")
 
 
 def contents(folder: Path) -> dict[str, bytes]:
