@@ -374,15 +374,10 @@ def test_a_node_that_stood_still_sends_no_burst():
             node.take(end.frame(0.01 * (number % 50), number), now_us)
 
     for late_us, made_up in (
-        (TICK_US // 2 - 1, 0),
-        (TICK_US // 2, 1),
-        (15 * TICK_US + TICK_US // 2, 16),
-        (16 * TICK_US, 16),
-        (16 * TICK_US + 1, 0),
-        (2_000_000, 0),
-        (2**31 + TICK_US, 0),
+        (TICK_US // 2 - 1, 0), (TICK_US // 2, 1), (15 * TICK_US + TICK_US // 2, 16),
+        (16 * TICK_US, 16), (16 * TICK_US + 1, 0), (2_000_000, 0), (2**31 + TICK_US, 0),
         (2**32 - 2 * TICK_US - 1, 0),
-    ):
+    ):  # fmt: skip
         library.ecu_init(ecu)
         sent.clear()
         ends = [Transmitter(network.reference), Transmitter(network.feedback)]

@@ -69,15 +69,11 @@ def test_a_feedback_is_answered_with_what_the_program_sends():
 
 @pytest.mark.parametrize(
     "other",
-    [
-        frame(is_extended_id=True),
-        can.Message(arbitration_id=FEEDBACK, is_extended_id=False, is_remote_frame=True, dlc=8),
-        frame(is_error_frame=True),
-        frame(0x700),
-        frame(COMMANDS[0]),
-    ],
+    [frame(is_extended_id=True),
+     can.Message(arbitration_id=FEEDBACK, is_extended_id=False, is_remote_frame=True, dlc=8),
+     frame(is_error_frame=True), frame(0x700), frame(COMMANDS[0])],
     ids=["extended", "remote", "error", "another", "a command"],
-)
+)  # fmt: skip
 def test_other_frames_do_not_reach_it(other):
     node, program, sent = node_of()
     assert node.take(other) is False
