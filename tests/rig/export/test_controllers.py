@@ -212,11 +212,12 @@ def test_an_emulated_board_counts_the_frames_of_the_speed():
     for name in ("ecu", "arm:m4f"):
         application = controller_of(name, scenario)
         assert isinstance(application, WholeNode)
-        node = EcuNode(scenario, network, lambda message: None, application.start())
+        ecu = application.start()
+        node = EcuNode(scenario, network, lambda message: None, ecu)
         for message in (message for tick in random_frames(network, 3) for message in tick):
             node.take(message)
         counts.append(node.rejected())
-        node.close()
+        ecu.close()
     assert counts[0] == counts[1]
     assert counts[1]["VEHICLE_SPEED"]
 

@@ -129,12 +129,6 @@ def test_those_of_the_speed_come_last_where_it_is_heard():
     assert [first - firsts[0] for first in firsts] == [0, len(CheckStatus), 2 * len(CheckStatus)]
 
 
-def test_closing_the_node_ends_the_program():
-    node, program, _ = node_of()
-    node.close()
-    assert program.closed == 1
-
-
 def test_what_was_chosen_runs_and_is_ended():
     program = Program()
     application = WholeNode(lambda: program)
