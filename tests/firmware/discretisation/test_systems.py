@@ -55,26 +55,16 @@ REFUSED: dict[str, tuple[Any, str]] = {
     "sampled, python-control": (control.tf([1.0], [1.0, 0.5], 0.1), "dt = 0.1.*must be continuous"),
     "sampled, scipy": (signal.dlti([1.0], [1.0, 0.5], dt=0.1), "dt = 0.1.*must be continuous"),
     "sampled, dt unknown": (control.tf([1.0], [1.0, 0.5], True), "must be continuous"),
-    "2 by 2, python-control": (
-        control.ss(MATRICES, np.eye(2), np.eye(2), np.zeros((2, 2))),
-        r"2 input\(s\) and 2 output\(s\): must have one of each",
-    ),
-    "transfer functions of 1 by 2": (
-        control.tf([[[1.0], [2.0]]], [[[1.0, 1.0], [1.0, 2.0]]]),
-        r"2 input\(s\) and 1 output",
-    ),
-    "2 outputs, scipy": (
-        signal.StateSpace(MATRICES, np.ones((2, 1)), np.eye(2), np.zeros((2, 1))),
-        r"1 input\(s\) and 2 output",
-    ),
-    "2 numerators, scipy": (
-        signal.TransferFunction([[1.0, 0.0], [0.0, 1.0]], [1.0, 2.0, 3.0]),
-        r"1 input\(s\) and 2 output",
-    ),
-    "2 gains, scipy": (
-        signal.ZerosPolesGain([[-1.0], [-2.0]], [-3.0, -4.0], [1.0, 2.0]),
-        r"1 input\(s\) and 2 output",
-    ),
+    "2 by 2, python-control": (control.ss(MATRICES, np.eye(2), np.eye(2), np.zeros((2, 2))),
+                               r"2 input\(s\) and 2 output\(s\): must have one of each"),
+    "transfer functions of 1 by 2": (control.tf([[[1.0], [2.0]]], [[[1.0, 1.0], [1.0, 2.0]]]),
+                                     r"2 input\(s\) and 1 output"),
+    "2 outputs, scipy": (signal.StateSpace(MATRICES, np.ones((2, 1)), np.eye(2), np.zeros((2, 1))),
+                         r"1 input\(s\) and 2 output"),
+    "2 numerators, scipy": (signal.TransferFunction([[1.0, 0.0], [0.0, 1.0]], [1.0, 2.0, 3.0]),
+                            r"1 input\(s\) and 2 output"),
+    "2 gains, scipy": (signal.ZerosPolesGain([[-1.0], [-2.0]], [-3.0, -4.0], [1.0, 2.0]),
+                       r"1 input\(s\) and 2 output"),
     "no filter": ("1/(s+1)", "must be a TransferFunction.*not str"),
     "a list": ([[1.0], [1.0, 1.0]], "not list"),
     "a response": (control.frd([1.0], [1.0]), "not FrequencyResponseData"),
@@ -82,45 +72,32 @@ REFUSED: dict[str, tuple[Any, str]] = {
     "no coefficients": (([], [1.0, 1.0]), r"num = \[\]: must be one row of real"),
     "scipy's zeros, poles, gain": (
         signal.butter(2, 1.0, analog=True, output="zpk"),
-        r"not a tuple of 3 \(scipy.signal.ZerosPolesGain\(zeros, poles, gain\) is one\)",
-    ),
+        r"not a tuple of 3 \(scipy.signal.ZerosPolesGain\(zeros, poles, gain\) is one\)"),
     "only A": (SimpleNamespace(A=1.0), "not SimpleNamespace"),
     "only D": (SimpleNamespace(D=1.0), "not SimpleNamespace"),
     "only gain": (SimpleNamespace(gain=1.0), "not SimpleNamespace"),
     "only poles": (SimpleNamespace(poles=1.0), "not SimpleNamespace"),
     "only num": (SimpleNamespace(num=1.0), "not SimpleNamespace"),
     "only den": (SimpleNamespace(den=1.0), "not SimpleNamespace"),
-    "scipy's matrices": (
-        tuple(signal.butter(1, 1.0, analog=True)) * 2,
-        r"not a tuple of 4 \(scipy.signal.StateSpace\(a, b, c, d\) is one\)",
-    ),
+    "scipy's matrices": (tuple(signal.butter(1, 1.0, analog=True)) * 2,
+                         r"not a tuple of 4 \(scipy.signal.StateSpace\(a, b, c, d\) is one\)"),
     "a tuple of one": (([1.0],), "not a tuple of 1$"),
     "letters": (("ab", [1.0, 1.0]), "num = ab: must be one row of real"),
     "complex coefficients": (([1j], [1.0, 1.0]), "num = .*must be one row of real"),
     "a matrix of coefficients": (([1.0], [[1.0, 1.0]]), "den = .*must be one row of real"),
     "not finite": (([np.nan], [1.0, 1.0]), "finite"),
     "zero denominator": (([1.0], [0.0]), "den is identically zero"),
-    "a state space that is not finite": (
-        signal.StateSpace([[-np.inf]], [[1.0]], [[1.0]], [[0.0]]),
-        "A, B, C, D: every number must be finite",
-    ),
-    "roots that are not finite": (
-        SimpleNamespace(zeros=[], poles=[np.nan], gain=1.0),
-        "zeros, poles: every root must be finite",
-    ),
-    "a gain that is not real": (
-        SimpleNamespace(zeros=[], poles=[-1.0], gain=1j),
-        "gain = 1j: must be real and finite",
-    ),
-    "a zero without its conjugate": (
-        signal.ZerosPolesGain([1 + 1j], [-1.0, -2.0], 1.0),
-        r"1\+1j: its conjugate is missing",
-    ),
-    "a pole without its conjugate": (
-        signal.ZerosPolesGain([], [-1 - 1j], 1.0),
-        r"-1-1j: its conjugate is missing",
-    ),
-}
+    "a state space that is not finite": (signal.StateSpace([[-np.inf]], [[1.0]], [[1.0]], [[0.0]]),
+                                         "A, B, C, D: every number must be finite"),
+    "roots that are not finite": (SimpleNamespace(zeros=[], poles=[np.nan], gain=1.0),
+                                  "zeros, poles: every root must be finite"),
+    "a gain that is not real": (SimpleNamespace(zeros=[], poles=[-1.0], gain=1j),
+                                "gain = 1j: must be real and finite"),
+    "a zero without its conjugate": (signal.ZerosPolesGain([1 + 1j], [-1.0, -2.0], 1.0),
+                                     r"1\+1j: its conjugate is missing"),
+    "a pole without its conjugate": (signal.ZerosPolesGain([], [-1 - 1j], 1.0),
+                                     r"-1-1j: its conjugate is missing"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", REFUSED)

@@ -8,10 +8,7 @@
   fighter's.
 """
 
-import json
 from pathlib import Path
-
-import numpy as np
 
 TWO_MASSES = """
 [plant]
@@ -92,9 +89,3 @@ def written(folder: Path, name: str) -> str:
         f"tick_s = {tick_s}\nlatency_ticks = 1\n{head}{limits}{sizes}{design}{tuning}{common}"
     )
     return str(path)
-
-
-def state_space(matrices: dict[str, object]) -> list[str]:
-    """``--set`` options of a plant with these A, B, C."""
-    plain = {key: np.asarray(value).tolist() for key, value in matrices.items()}
-    return ["plant.kind=state-space", *(f"plant.{k}={json.dumps(v)}" for k, v in plain.items())]

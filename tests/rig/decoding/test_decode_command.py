@@ -229,13 +229,10 @@ def test_a_missing_end_is_said_and_the_rest_decoded(drive, tmp_path):
         (["{log}", "--dbc", "no.dbc"], "no.dbc: cannot be read"),
         (["{log}", "--message", "DSTAR"], "no message DSTAR in the database; it has DSTAR_"),
         (["{log}", "--signal", "dstar"], "no signal dstar in the database; it has DStar"),
-        (
-            ["{log}", "--out", "a.xlsx"],
-            "a.xlsx: cannot be written as .xlsx; it must be .csv, .parquet",
-        ),
-        (["{log}", "--out", "/proc/a.csv"], "/proc/a.csv: cannot be written"),
-    ],
-)
+        (["{log}", "--out", "a.xlsx"],
+         "a.xlsx: cannot be written as .xlsx; it must be .csv, .parquet"),
+        (["{log}", "--out", "/proc/a.csv"], "/proc/a.csv: cannot be written")],
+)  # fmt: skip
 def test_bad_input_is_one_line(drive, arguments, reason):
     done = asked("decode", *(argument.format(log=drive) for argument in arguments))
     assert done.returncode == 2

@@ -44,27 +44,18 @@ CASES: dict[str, tuple[str, dict[str, object]]] = {
 }
 LONGER: dict[str, object] = {"duration_s": 1.5, "fault.at_s": 0.5}
 LOOPS: dict[str, tuple[str, dict[str, object]]] = {
-    "at once": ("default", LONGER),
-    "every 10 ms": ("cluster", LONGER),
+    "at once": ("default", LONGER), "every 10 ms": ("cluster", LONGER),
     "single precision": ("cluster", {**LONGER, "design.precision": "float32"}),
     "tick of 10 ms": ("chassis-cluster", {"duration_s": 6.0, "fault.at_s": 3.0}),
     "an oscillator": ("pendulum", SHORT),
     "dead times, limits, a late and a biased sensor": (
         "cluster",
-        {
-            **LONGER,
-            "plant.torque_actuator.dead_time_s": 0.0025,
-            "plant.torque_actuator.rate_nm_per_s": 2000.0,
-            "plant.force_difference_actuator.dead_time_s": 0.002,
-            "plant.sensor.dead_time_s": 0.0013,
-            "plant.sensor.resolution_mps2": 0.001,
-            "sensor.0.delay_s": 0.003,
-            "fault.kind": "sensor-biased",
-            "fault.channel": "sensor",
-            "fault.bias_mps2": 0.2,
-        },
-    ),
-}
+        {**LONGER, "plant.torque_actuator.dead_time_s": 0.0025,
+         "plant.torque_actuator.rate_nm_per_s": 2000.0,
+         "plant.force_difference_actuator.dead_time_s": 0.002, "plant.sensor.dead_time_s": 0.0013,
+         "plant.sensor.resolution_mps2": 0.001, "sensor.0.delay_s": 0.003,
+         "fault.kind": "sensor-biased", "fault.channel": "sensor", "fault.bias_mps2": 0.2}),
+}  # fmt: skip
 BOTH = """
 latency_ticks = 1
 duration_s = 0.6

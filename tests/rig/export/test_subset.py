@@ -4,7 +4,6 @@ import importlib.util
 import re
 import sys
 import textwrap
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
@@ -99,7 +98,6 @@ def pair(x: float) -> tuple[float, float]:
 
 """
 COMPILED = "from firmware_model.compiled import firmware\n"
-Translate = Callable[[str], Path]
 
 
 @pytest.fixture

@@ -61,6 +61,10 @@ def there(made, tmp_path):
     return shutil.copytree(made, tmp_path / "demo")
 
 
+def full(*_: Any, **__: Any) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
@@ -104,9 +108,6 @@ def test_the_old_run_stands_until_the_new_one_is_whole(there, tmp_path):
 
 
 def test_where_the_closing_files_cannot_be_written_both_runs_are_kept(there, tmp_path, monkeypatch):
-    def full(*_: Any, **__: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     before = contents(there)
     with monkeypatch.context() as patch:
         patch.setattr(Figure, "savefig", full)
@@ -126,9 +127,6 @@ def test_where_the_closing_files_cannot_be_written_both_runs_are_kept(there, tmp
 def test_a_disk_that_fills_during_the_run_is_one_line_that_says_where_the_frames_are(
     tmp_path, monkeypatch
 ):
-    def full(*_: Any, **__: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     (tmp_path / "source").mkdir()
     out, log = tmp_path / "out", tmp_path / "out" / "bus.log"
     runner = recorded(tmp_path / "source", 32, LogError(f"{log}: cannot be written: full"))
@@ -265,9 +263,6 @@ def test_the_same_what_if_twice_gives_the_same_bytes_but_for_the_times(there, tm
 def test_a_full_disk_is_one_line_and_nothing_recorded_is_lost(
     writer, name, there, tmp_path, monkeypatch
 ):
-    def full(*_: Any, **__: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     log, _, scenario = record(tmp_path, "duration_s=0.02", bus="virtual:full")
     folder = tmp_path / "r"
     folder.mkdir()
