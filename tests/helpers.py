@@ -23,12 +23,8 @@ __all__ = ["DBC", "NAMES", "asked", "decoded", "record", "rig", "start"]
 
 DBC = Path(__file__).parents[1] / "dbc"
 NAMES = (
-    "DSTAR_REFERENCE",
-    "DSTAR_FEEDBACK",
-    "STEER_TORQUE_CMD",
-    "FORCE_DIFF_CMD",
-    "CONTROLLER_STATUS",
-)
+    "DSTAR_REFERENCE", "DSTAR_FEEDBACK", "STEER_TORQUE_CMD", "FORCE_DIFF_CMD", "CONTROLLER_STATUS",
+)  # fmt: skip
 
 
 def asked(*arguments: object) -> subprocess.CompletedProcess[str]:

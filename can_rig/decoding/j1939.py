@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.decoding.message_decoder import MessageColumns, unsigned_column
+from can_rig.decoding.message_decoder import MessageColumns, byte_column
 from can_rig.logs.frames import CLASSIC_BYTES, EXTENDED, REMOTE, Frames
 
 SOURCE_ADDRESS: Final = "SourceAddress"
@@ -75,7 +75,7 @@ def with_source(columns: MessageColumns, frames: Frames, rows: NDArray[np.int64]
     """
     source = (frames.arbitration_id & np.uint32(0xFF)).astype(np.int64)
     source = source[np.searchsorted(rows, columns.row)]
-    layout: dict[str, Any] = {**columns.layout, SOURCE_ADDRESS: unsigned_column(SOURCE_ADDRESS, 8)}
+    layout: dict[str, Any] = {**columns.layout, SOURCE_ADDRESS: byte_column(SOURCE_ADDRESS)}
     return replace(columns, signals={**columns.signals, SOURCE_ADDRESS: source}, layout=layout)
 
 

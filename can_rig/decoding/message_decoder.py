@@ -259,10 +259,10 @@ def _window(data: UInt8s, byte: int, kind: str) -> tuple[NDArray[np.uint64], int
     return np.ascontiguousarray(eight).view(kind)[:, 0].astype(np.uint64), begin
 
 
-def unsigned_column(name: str, length: int) -> SignalColumn:
-    """The column of an unsigned number without a unit."""
+def byte_column(name: str) -> SignalColumn:
+    """The column of an unsigned number of 8 bits, without a unit."""
     conversion = BaseConversion.factory(scale=1, offset=0)
-    return SignalColumn(name, "", 0, length, False, False, False, conversion, {})
+    return SignalColumn(name, "", 0, 8, False, False, False, conversion, {})
 
 
 def signal_column(signal: Signal, where: str) -> SignalColumn:

@@ -47,10 +47,8 @@ from struct import Struct
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
 
-import numpy as np
 from can import Message
 from e2e.p01 import e2e_p01_check, e2e_p01_protect
-from numpy.typing import NDArray
 
 FRAME_BYTES: Final = 8
 """Length of every frame of the rig's own [byte]."""
@@ -317,11 +315,6 @@ _AT: Final = slice(2, 4)  # of a frame's bytes
 def tick_on(data: bytes | bytearray) -> int:
     """The tick in a frame's bytes, modulo 65536; from a short frame the available bytes."""
     return int.from_bytes(data[_AT], "little")
-
-
-def ticks_on(data: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """The ticks of many frames: (frames, 4 bytes or more) → (frames,)."""
-    return data[:, 2].astype(np.int64) | data[:, 3].astype(np.int64) << 8
 
 
 def ticks_ahead(wire_tick: int, tick: int) -> int:

@@ -539,10 +539,6 @@ class EcuNode(AnsweringNode):
             self._go_on(self._tick + 1)
         return bool(sent)
 
-    def close(self) -> None:
-        """End the program."""
-        self._ecu.close()
-
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""
         counts = self._ecu.counts()

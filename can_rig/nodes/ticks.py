@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Clock, Interrupted, OnTick, Pace
+from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Interrupted, OnTick, Pace
 from firmware_model.law.structs import FloatArray
 
 Carry = Callable[[int], int]
@@ -74,18 +74,14 @@ def drive(carry: Carry, ticks: int, on_tick: OnTick) -> int:
 
 
 def timed(
-    carry: Carry,
-    ticks: int,
-    on_tick: OnTick,
-    meanwhile: AbstractContextManager[None] | None = None,
-    clock: Clock = SYSTEM_CLOCK,
+    carry: Carry, ticks: int, on_tick: OnTick, meanwhile: AbstractContextManager[None] | None = None
 ) -> NodeSummary:
     """``drive`` with its time and rate; ``meanwhile`` is entered during the loop."""
-    pace = Pace(clock, on_tick)
+    pace = Pace(SYSTEM_CLOCK, on_tick)
     with meanwhile or without_garbage_pauses():
-        start_ns = clock.now_ns()
+        start_ns = SYSTEM_CLOCK.now_ns()
         done = drive(carry, ticks, pace)
-        wall_s = (clock.now_ns() - start_ns) / NS_PER_S
+        wall_s = (SYSTEM_CLOCK.now_ns() - start_ns) / NS_PER_S
         rate = pace.ticks_per_s
     return NodeSummary(done, wall_s, {}, {}, ticks_per_s=rate)
 

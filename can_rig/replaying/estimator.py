@@ -28,7 +28,7 @@ from cantools.database.conversion import BaseConversion
 from numpy.typing import NDArray
 
 from can_rig.decoding.files import Contents, output
-from can_rig.decoding.message_decoder import MessageColumns, SignalColumn, unsigned_column
+from can_rig.decoding.message_decoder import MessageColumns, SignalColumn, byte_column
 from can_rig.errors import LogError, ScenarioError
 from can_rig.files import PICTURES, atomic, refuse_existing
 from can_rig.logs.frames import NS_PER_S
@@ -337,7 +337,7 @@ def _columns(
     whole = {name: code.astype(np.int64) for name, code in zip(CODES, codes, strict=True)}
     for name, words in CODES.items():
         choices = {int(word): word.name for word in words}
-        layout[name] = replace(unsigned_column(name, 8), choices=choices)
+        layout[name] = replace(byte_column(name), choices=choices)
     for role, name in INPUTS.items():
         if name in inputs:
             layout[name] = _column(name, ROLES[role])

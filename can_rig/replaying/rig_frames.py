@@ -5,22 +5,10 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
+from e2e.p01 import e2e_p01_check
 
 from can_rig.controllers.protocol import NodeController
-from can_rig.decoding.message_decoder import counters, intact_rows
-from can_rig.frames.codec import (
-    COUNTERS,
-    FRAME_BYTES,
-    ROLES,
-    WIRE_TICKS,
-    Checker,
-    CheckStatus,
-    MessageCodec,
-    Unprotected,
-    tick_at,
-    ticks_ahead,
-    ticks_on,
-)
+from can_rig.frames.codec import COUNTERS, ROLES, WIRE_TICKS, MessageCodec, tick_at, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.logs.frames import ERROR, EXTENDED, FD, NS_PER_S, REMOTE, Frames
 from can_rig.plant.actuators import Actuator
@@ -61,79 +49,40 @@ class RigFrame(NamedTuple):
 
 
 def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]:
-    """The frames of ``network`` in a log, in order."""
-    codecs = codecs_of(network)
-    roles = {codec.frame_id: role for role, codec in codecs.items()}
-    identifiers = np.array(sorted(roles), dtype=np.uint32)
-    if not network.is_the_rigs:
-        yield from _of_any_layout(chunks, network, roles)
-        return
-    for chunk in chunks:
-        ours = np.isin(chunk.arbitration_id, identifiers) & ~chunk.has(EXTENDED | REMOTE | ERROR)
-        frames = chunk if ours.all() else chunk[ours]
-        role = np.array([roles[i] for i in frames.arbitration_id.tolist()], dtype=np.int64)
-        intact = np.zeros(len(frames), dtype=np.bool_)
-        for at, codec in codecs.items():
-            rows = role == at
-            assert codec.data_id is not None
-            intact[rows] = intact_rows(frames.data[rows], frames.length[rows], codec.data_id)
-        data = frames.data
-        tick = ticks_on(data)
-        whole = data[:, :FRAME_BYTES].tobytes()
-        columns = (
-            role.tolist(),
-            frames.time_ns.tolist(),
-            frames.length.tolist(),
-            tick.tolist(),
-            counters(data).tolist(),
-            intact.tolist(),
-        )
-        for at, (which, time_ns, length, says, counter, good) in enumerate(
-            zip(*columns, strict=True)
-        ):
-            payload = whole[at * FRAME_BYTES : at * FRAME_BYTES + FRAME_BYTES]
-            if length != FRAME_BYTES:
-                payload = data[at, :length].tobytes()
-            yield RigFrame(which, time_ns, payload, says, counter, good)
-
-
-def _of_any_layout(
-    chunks: Iterable[Frames], network: Network, roles: dict[int, int]
-) -> Iterator[RigFrame]:
-    """The frames of a network with foreign layouts.
+    """The frames of ``network`` in a log, in order.
 
     Frames without a tick are counted: a reference or a feedback belongs to the tick after the last
     frame of the same message, an answer to the tick of the last feedback.
     """
     codecs = codecs_of(network)
-    counted = [-1] * INPUTS
+    roles = {codec.frame_id: role for role, codec in codecs.items()}
+    kinds = {role: codec.extended * EXTENDED | codec.fd * FD for role, codec in codecs.items()}
     identifiers = np.array(sorted(roles), dtype=np.uint32)
+    counted = [-1] * INPUTS
     for chunk in chunks:
-        ours = np.isin(chunk.arbitration_id, identifiers) & ~chunk.has(REMOTE | ERROR)
-        frames = chunk[ours]
-        for at, identifier in enumerate(frames.arbitration_id.tolist()):
-            role, flags = roles[identifier], int(frames.flags[at])
-            codec = codecs[role]
-            if (bool(flags & EXTENDED), bool(flags & FD)) != (codec.extended, codec.fd):
+        frames = chunk[np.isin(chunk.arbitration_id, identifiers) & ~chunk.has(REMOTE | ERROR)]
+        payloads, width = frames.data.tobytes(), frames.data.shape[1]
+        columns = (frames.arbitration_id, frames.flags, frames.length, frames.time_ns)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        for at, (identifier, flags, length, time_ns) in enumerate(rows):
+            role = roles[identifier]
+            if flags & (EXTENDED | FD) != kinds[role]:
                 continue
-            data = frames.data[at, : int(frames.length[at])].tobytes()
+            codec, data = codecs[role], payloads[at * width : at * width + length]
             tick = codec.layout.tick(data)
             if tick is None:
                 if role < INPUTS:
                     counted[role] += 1
                 tick = counted[role if role < INPUTS else INPUTS - 1] % WIRE_TICKS
             counter = tick % COUNTERS  # without a counter: no frame lost or repeated
-            if codec.protected and len(data) > 1:
+            if codec.protected and length > 1:
                 counter = data[1] & 0x0F
-            yield RigFrame(role, int(frames.time_ns[at]), data, tick, counter, _intact(codec, data))
+            yield RigFrame(role, time_ns, data, tick, counter, _intact(codec, data))
 
 
 def _intact(codec: MessageCodec, data: bytes) -> bool:
-    length = codec.layout.length
-    checker = (
-        Unprotected(length) if codec.data_id is None else Checker(codec.data_id, length=length)
-    )
-    return checker.check(bytearray(data)) in {CheckStatus.OK, CheckStatus.INITIAL}
+    right = len(data) == codec.layout.length
+    return right and (codec.data_id is None or e2e_p01_check(bytearray(data), codec.data_id))
 
 
 COMMANDS = 2

@@ -25,6 +25,7 @@ WIDTH, HEIGHT = 760, 250
 MIXED: Final = ("paper", "asphalt", "card")
 """Grounds whose mixtures with each colour smooth the edges in a GIF."""
 FORMATS: Final = (".gif", ".mp4")
+BEFORE_S, AFTER_S = 2.0, 6.0  # shown around the first fault
 
 
 @cache
@@ -108,16 +109,14 @@ def pictures(
         yield drawing.at(time_s)
 
 
-def span_of(
-    scene: dict[str, Any], before_s: float = 2.0, after_s: float = 6.0
-) -> tuple[float, float]:
+def span_of(scene: dict[str, Any]) -> tuple[float, float]:
     """The time around the first fault; the whole run if no fault begins."""
     time_s = scene["columns"]["time"]
     first, last = float(time_s[0]), float(time_s[-1])
     begins = [each["begin"] for each in scene["dead"] if each["begin"] < last]
     if not begins:
         return first, last
-    return max(first, min(begins) - before_s), min(last, min(begins) + after_s)
+    return max(first, min(begins) - BEFORE_S), min(last, min(begins) + AFTER_S)
 
 
 class Drawing:

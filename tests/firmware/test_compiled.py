@@ -24,17 +24,13 @@ def test_another_state_of_what_a_file_imports_has_another_folder(tmp_path, monke
     second. Nor do files that are not imported, such as a comment in the design for the law.
     """
     files = {
-        "caller/__init__.py": "",
-        "caller/room/__init__.py": "",
+        "caller/__init__.py": "", "caller/room/__init__.py": "",
         "caller/room/a.py": "from caller.room import (\n    b,\n    c,\n)\n",
         "caller/room/b.py": "import firmware_model.law\nimport elsewhere\n",
         "caller/room/c.py": "def c():\n    from caller import late\n",
-        "caller/late.py": "from caller.room.a import anything  # a circle",
-        "caller/foreign.py": "",
-        "firmware_model/__init__.py": "",
-        "firmware_model/law.py": "",
-        "elsewhere.py": "",
-    }
+        "caller/late.py": "from caller.room.a import anything  # a circle", "caller/foreign.py": "",
+        "firmware_model/__init__.py": "", "firmware_model/law.py": "", "elsewhere.py": "",
+    }  # fmt: skip
     for name, text in files.items():
         (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
         (tmp_path / name).write_text(text)

@@ -266,18 +266,14 @@ REFUSED_COEFFICIENTS: dict[str, tuple[Any, str]] = {
     "order": (lambda: Filter.from_zpk([], [0.5] * 17, 1.0, tick_s=1.0), "a filter of order 17"),
     "a0": (lambda: Filter.from_sos([[1, 0, 0, 0, 1, 0]], tick_s=1.0), "a0 = 0 is improper"),
     "a[0]": (lambda: Filter.from_ba([1.0], [0.0, 1.0], tick_s=1.0), r"a\[0\] = 0: improper"),
-    "unstable": (
-        lambda: Filter.from_cmsis([1.0, 0.0, 0.0, -1.5, 0.0], tick_s=1.0),
-        r"a pole at \|z\| = 1.5: unstable",
-    ),
+    "unstable": (lambda: Filter.from_cmsis([1.0, 0.0, 0.0, -1.5, 0.0], tick_s=1.0),
+                 r"a pole at \|z\| = 1.5: unstable"),
     "six a stage": (lambda: Filter.from_cmsis(SECTION, tick_s=1.0), "6 coefficients: must be 5 a"),
     "improper": (lambda: Filter.from_zpk([0.1, 0.2], [0.5], 1.0, tick_s=1.0), "future input"),
     "no conjugate": (lambda: Filter.from_zpk([], [0.5j], 1.0, tick_s=1.0), "conjugate is missing"),
-    "matrices": (
-        lambda: Filter.from_state_space([[0.5]], [[1.0, 2.0]], [[1.0]], 0.0, tick_s=1.0),
-        "a, b, c, d have shapes",
-    ),
-}
+    "matrices": (lambda: Filter.from_state_space([[0.5]], [[1.0, 2.0]], [[1.0]], 0.0, tick_s=1.0),
+                 "a, b, c, d have shapes"),
+}  # fmt: skip
 
 
 @pytest.mark.every_case

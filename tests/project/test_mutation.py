@@ -19,26 +19,16 @@ def as_scripts(monkeypatch):
 
 @pytest.mark.parametrize(
     ("line", "expected"),
-    [
-        ("x = a + 1", {"x = (a - 1)", "x = a + (0)", "x = a + (2)"}),
-        ("x = -a", {"x = (a)"}),
-        ("x = a < b", {"x = (a <= b)", "x = (a >= b)"}),
-        ("x = a and b", {"x = (a or b)", "x = (a)", "x = (b)"}),
-        ("x = 2.5", {"x = (5.0)"}),
-        ("x = True", {"x = (False)"}),
-        ("x = max(a, b)", {"x = (min(a, b))"}),
-        ("x = math.expm1(a)", {"x = (math.exp(a) - 1.0)"}),
-        ("x = abs(a)", {"x = (a)"}),
-        ("x = a[0]", {"x = a[(1)]"}),
-        ("f(a)", {"pass"}),
-        ("a.b = c", {"pass"}),
-        ("raise ValueError(1 + 1)", {"pass"}),
-        ("while a: break", {"while (not (a)): break", "while a: continue"}),
-        ("x: int = 'text'", set()),
-        ("return None", set()),
-        ("zip(a, strict=True)", {"pass"}),
-    ],
-)
+    [("x = a + 1", {"x = (a - 1)", "x = a + (0)", "x = a + (2)"}), ("x = -a", {"x = (a)"}),
+     ("x = a < b", {"x = (a <= b)", "x = (a >= b)"}),
+     ("x = a and b", {"x = (a or b)", "x = (a)", "x = (b)"}), ("x = 2.5", {"x = (5.0)"}),
+     ("x = True", {"x = (False)"}), ("x = max(a, b)", {"x = (min(a, b))"}),
+     ("x = math.expm1(a)", {"x = (math.exp(a) - 1.0)"}), ("x = abs(a)", {"x = (a)"}),
+     ("x = a[0]", {"x = a[(1)]"}), ("f(a)", {"pass"}), ("a.b = c", {"pass"}),
+     ("raise ValueError(1 + 1)", {"pass"}),
+     ("while a: break", {"while (not (a)): break", "while a: continue"}),
+     ("x: int = 'text'", set()), ("return None", set()), ("zip(a, strict=True)", {"pass"})],
+)  # fmt: skip
 def test_what_a_line_becomes(line, expected):
     from mutation_sites import mutants
 

@@ -15,21 +15,11 @@ ROOTS = {
     "firmware_model": {"__init__", "compiled", "errors", "firmware"},
 }
 TOP_LEVEL = {
-    *(
-        ".ci",
-        ".github",
-        ".gitignore",
-        ".pre-commit-config.yaml",
-        "can_rig",
-        "dbc",
-        "docs",
-        "firmware_model",
-        "tests",
-        "tools",
-    ),
+    *(".ci", ".github", ".gitignore", ".pre-commit-config.yaml", "can_rig", "dbc", "docs",
+      "firmware_model", "tests", "tools"),
     *("CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "README.md", "pyproject.toml"),
     "requirements.lock",
-}
+}  # fmt: skip
 TRANSLATOR = "can_rig.export."  # to C: a tenth of a second of each start
 HEAVY = {"matplotlib", "asammdf", "fmpy", "pyarrow", "pandas", "control", "mcap", "aiohttp"}
 """Libraries so slow to import that a command that does without them must not wait for them."""

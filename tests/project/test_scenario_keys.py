@@ -71,22 +71,18 @@ def test_a_meaning_without_a_key_is_refused(schema):
 
 @pytest.mark.parametrize(
     ("field", "shown"),
-    [
-        ({"type": "number", "exclusiveMinimum": 0.0}, "number, > 0"),
-        ({"type": "integer", "minimum": 1, "maximum": 8}, "whole number, ≥ 1, ≤ 8"),
-        ({"type": "number", "minimum": 1e-5, "exclusiveMaximum": 1.0}, "number, ≥ 1e-05, < 1"),
-        ({"anyOf": [{"type": "number"}, {"type": "null"}]}, "number"),
-        ({"anyOf": [{"type": "integer"}, {"const": "from-bus"}]}, 'whole number or `"from-bus"`'),
-        ({"type": "array", "items": {"type": "number"}}, "list of numbers"),
-        (
-            {"type": "array", "items": {"type": "array", "items": {"type": "number"}}},
-            "list of lists of numbers",
-        ),
-        ({"type": "array", "items": {}}, "list of numbers or pairs"),
-        ({"type": "boolean"}, "true or false"),
-        ({"enum": ["a", "b"], "type": "string"}, '`"a"`, `"b"`'),
-    ],
-)
+    [({"type": "number", "exclusiveMinimum": 0.0}, "number, > 0"),
+     ({"type": "integer", "minimum": 1, "maximum": 8}, "whole number, ≥ 1, ≤ 8"),
+     ({"type": "number", "minimum": 1e-5, "exclusiveMaximum": 1.0}, "number, ≥ 1e-05, < 1"),
+     ({"anyOf": [{"type": "number"}, {"type": "null"}]}, "number"),
+     ({"anyOf": [{"type": "integer"}, {"const": "from-bus"}]}, 'whole number or `"from-bus"`'),
+     ({"type": "array", "items": {"type": "number"}}, "list of numbers"),
+     ({"type": "array", "items": {"type": "array", "items": {"type": "number"}}},
+      "list of lists of numbers"),
+     ({"type": "array", "items": {}}, "list of numbers or pairs"),
+     ({"type": "boolean"}, "true or false"),
+     ({"enum": ["a", "b"], "type": "string"}, '`"a"`, `"b"`')],
+)  # fmt: skip
 def test_bounds_are_shown(field, shown):
     assert scenario_keys.allowed(field) == shown
 

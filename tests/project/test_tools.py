@@ -18,15 +18,11 @@ SHORTEST = {
 
 ELSEWHERE = {
     "against_libraries": "tests/rig/logs/test_against_libraries.py",
-    "flood": "tests/rig/nodes/test_flood.py",
-    "fuzz": "tests/rig/fuzz/test_fuzz.py",
-    "mutation": "tests/project/test_mutation.py",
-    "release": "tests/project/test_release.py",
-    "scenario_keys": "tests/project/test_scenario_keys.py",
-    "setup": "tests/project/test_lock.py",
-    "vcan_guest": "tests/project/test_vcan_guest.py",
-    "website": "tests/project/test_website.py",
-}
+    "flood": "tests/rig/nodes/test_flood.py", "fuzz": "tests/rig/fuzz/test_fuzz.py",
+    "mutation": "tests/project/test_mutation.py", "release": "tests/project/test_release.py",
+    "scenario_keys": "tests/project/test_scenario_keys.py", "setup": "tests/project/test_lock.py",
+    "vcan_guest": "tests/project/test_vcan_guest.py", "website": "tests/project/test_website.py",
+}  # fmt: skip
 """By tool, the tests that are about it."""
 
 NOT_TESTED = {

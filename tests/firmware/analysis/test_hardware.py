@@ -35,16 +35,10 @@ TABLE = build(design(steer_by_wire(), DesignSpecification()), Target(TICK_S))
 @pytest.mark.every_case
 @pytest.mark.parametrize(
     ("changes", "previous", "expected"),
-    [
-        ({}, 9.0, 2.0),
-        ({GAIN: 0.5, ADDED: 3.0}, 9.0, 4.0),
-        ({HELD: 1.0}, 9.0, 9.0),
-        ({SLEW: 0.5}, 9.0, 8.5),
-        ({SLEW: 0.5}, -9.0, -8.5),
-        ({SLEW: 100.0}, 9.0, 2.0),
-        ({SLEW: 0.5}, math.nan, 2.0),
-    ],
-)
+    [({}, 9.0, 2.0), ({GAIN: 0.5, ADDED: 3.0}, 9.0, 4.0), ({HELD: 1.0}, 9.0, 9.0),
+     ({SLEW: 0.5}, 9.0, 8.5), ({SLEW: 0.5}, -9.0, -8.5), ({SLEW: 100.0}, 9.0, 2.0),
+     ({SLEW: 0.5}, math.nan, 2.0)],
+)  # fmt: skip
 def test_what_is_said_or_done_instead(changes, previous, expected):
     fault = HEALTHY.copy()
     for at, value in changes.items():

@@ -217,14 +217,10 @@ def test_lumps_answer_as_all_their_states_do_even_where_states_copy_in_a_circle(
 
 @pytest.mark.parametrize(
     "function",
-    [
-        lambda x: x * x * x - 0.2,
-        lambda x: math.exp(30.0 * x) - 2.0,
-        lambda x: math.tanh(1e4 * (x - 0.123)),
-        lambda x: 1.0 if x > math.pi / 4.0 else -1.0,
-    ],
+    [lambda x: x * x * x - 0.2, lambda x: math.exp(30.0 * x) - 2.0,
+     lambda x: math.tanh(1e4 * (x - 0.123)), lambda x: 1.0 if x > math.pi / 4.0 else -1.0],
     ids=["cubic", "steep at one end", "almost a jump", "a jump"],
-)
+)  # fmt: skip
 def test_it_finds_what_scipy_finds(function):
     found = zero(function, 0.0, 1.0)
     assert found == pytest.approx(brentq(function, 0.0, 1.0, xtol=1e-15), rel=1e-14)

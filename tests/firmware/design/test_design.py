@@ -105,34 +105,20 @@ def test_what_is_not_asked_for_is_not_refused():
 
 @pytest.mark.parametrize(
     ("plant", "change", "error", "named"),
-    [
-        (chapter_2(), {"q": ZeroPoleGain((), (1,), 1.0)}, UnstableFilterError, "Q has a pole at 1"),
-        (chapter_2(), {"q": ZeroPoleGain((-1,), (), 1.0)}, ImproperError, "Q has 1 zeros"),
-        (chapter_2(), {"q": ZeroPoleGain.constant(-1.0)}, ZeroChannelError, "q = -1"),
-        (_plant([1, 3], [1, 0], [1, 3, 2]), {}, AxisZeroError, "zero at 0"),
-        (_plant([1, 3], [2], [1, 3, 2]), {}, ImproperError, "alpha must be at least 2"),
-        (
-            _plant([1, 3], [1, -1], [1, 1, -2]),
-            {},
-            UnstablePlantError,
-            r"input 2 does not reach the unstable mode at 1 rad/s",
-        ),
-        (
-            _plant([1, 3], [1, 4], [1, 1, -2]),
-            {"feedback": False},
-            UnstablePlantError,
-            "pole at 1.* without feedback",
-        ),
-        (_plant([1, 0], [1, 3], [1, 3, 2]), {}, AxisZeroError, "G1 has a zero at 0"),
-        (steer_by_wire(), {"alpha_q": 1}, ImproperError, "alpha_q must be at least 2"),
-        (
-            steer_by_wire(replace(TABLE_3_2, lateral_weight=0.0)),
-            {},
-            ImproperError,
-            "alpha_q must be at least 3",
-        ),
-    ],
-)
+    [(chapter_2(), {"q": ZeroPoleGain((), (1,), 1.0)}, UnstableFilterError, "Q has a pole at 1"),
+     (chapter_2(), {"q": ZeroPoleGain((-1,), (), 1.0)}, ImproperError, "Q has 1 zeros"),
+     (chapter_2(), {"q": ZeroPoleGain.constant(-1.0)}, ZeroChannelError, "q = -1"),
+     (_plant([1, 3], [1, 0], [1, 3, 2]), {}, AxisZeroError, "zero at 0"),
+     (_plant([1, 3], [2], [1, 3, 2]), {}, ImproperError, "alpha must be at least 2"),
+     (_plant([1, 3], [1, -1], [1, 1, -2]), {}, UnstablePlantError,
+      r"input 2 does not reach the unstable mode at 1 rad/s"),
+     (_plant([1, 3], [1, 4], [1, 1, -2]), {"feedback": False}, UnstablePlantError,
+      "pole at 1.* without feedback"),
+     (_plant([1, 0], [1, 3], [1, 3, 2]), {}, AxisZeroError, "G1 has a zero at 0"),
+     (steer_by_wire(), {"alpha_q": 1}, ImproperError, "alpha_q must be at least 2"),
+     (steer_by_wire(replace(TABLE_3_2, lateral_weight=0.0)), {}, ImproperError,
+      "alpha_q must be at least 3")],
+)  # fmt: skip
 def test_every_assumption_has_its_error(plant, change, error, named):
     with pytest.raises(error, match=named):
         design(plant, replace(PUBLISHED, **change))

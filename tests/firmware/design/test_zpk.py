@@ -118,18 +118,10 @@ def test_lag(tau_s, order):
 
 @pytest.mark.parametrize(
     ("tau_s", "order", "named"),
-    [
-        (0.0, 1, "tau_s = 0.0"),
-        (-1.0, 1, "tau_s = -1.0"),
-        (math.inf, 1, "tau_s = inf"),
-        (math.nan, 1, "tau_s = nan"),
-        (1.0, 0, "order = 0"),
-        (1.0, 1.0, "order = 1.0"),
-        (1.0, True, "order = True"),
-        (1e-200, 2, "tau_s = 1e-200"),
-        (1e200, 2, "tau_s = 1e\\+200"),
-    ],
-)
+    [(0.0, 1, "tau_s = 0.0"), (-1.0, 1, "tau_s = -1.0"), (math.inf, 1, "tau_s = inf"),
+     (math.nan, 1, "tau_s = nan"), (1.0, 0, "order = 0"), (1.0, 1.0, "order = 1.0"),
+     (1.0, True, "order = True"), (1e-200, 2, "tau_s = 1e-200"), (1e200, 2, "tau_s = 1e\\+200")],
+)  # fmt: skip
 def test_lag_refuses(tau_s, order, named):
     with pytest.raises(ParameterError, match=named):
         ZeroPoleGain.lag(tau_s, order)
@@ -151,16 +143,11 @@ def test_stability_is_strict(poles, stable):
 
 @pytest.mark.parametrize(
     ("g", "expected"),
-    [
-        (ZeroPoleGain((-3,), (-1, -2), 4.0), 6.0),
-        (ZeroPoleGain((0, -1), (-2,), 4.0), 0.0),
-        (ZeroPoleGain((-1,), (0, -2), 4.0), math.inf),
-        (ZeroPoleGain((1,), (0, -2), 4.0), -math.inf),
-        (ZeroPoleGain((0, -6), (0, -2), 4.0), 12.0),
-        (ZeroPoleGain((-1 + 2j, -1 - 2j), (-2,), 2.0), 5.0),
-        (ZeroPoleGain.constant(0.0), 0.0),
-    ],
-)
+    [(ZeroPoleGain((-3,), (-1, -2), 4.0), 6.0), (ZeroPoleGain((0, -1), (-2,), 4.0), 0.0),
+     (ZeroPoleGain((-1,), (0, -2), 4.0), math.inf), (ZeroPoleGain((1,), (0, -2), 4.0), -math.inf),
+     (ZeroPoleGain((0, -6), (0, -2), 4.0), 12.0),
+     (ZeroPoleGain((-1 + 2j, -1 - 2j), (-2,), 2.0), 5.0), (ZeroPoleGain.constant(0.0), 0.0)],
+)  # fmt: skip
 def test_dc_gain_is_the_limit(g, expected):
     assert g.dc_gain == expected
 
@@ -190,15 +177,10 @@ def test_the_zero_function_has_no_roots_and_no_inverse():
 
 @pytest.mark.parametrize(
     ("num", "den", "named"),
-    [
-        ([1], [0, 0], "den is identically zero"),
-        ([1], [], "den is identically zero"),
-        ([math.nan], [1], "num = "),
-        ([1], [math.inf, 1], "den = "),
-        ([[1, 2]], [1], "num = "),
-        ([1], [1e-300, 1e300], "den leads with 1e-300"),
-    ],
-)
+    [([1], [0, 0], "den is identically zero"), ([1], [], "den is identically zero"),
+     ([math.nan], [1], "num = "), ([1], [math.inf, 1], "den = "), ([[1, 2]], [1], "num = "),
+     ([1], [1e-300, 1e300], "den leads with 1e-300")],
+)  # fmt: skip
 def test_coefficients_refused(num, den, named):
     with pytest.raises(ParameterError, match=named):
         ZeroPoleGain.from_coefficients(num, den)
@@ -206,17 +188,14 @@ def test_coefficients_refused(num, den, named):
 
 @pytest.mark.parametrize(
     ("zeros", "poles", "gain", "named"),
-    [
-        ((), (), math.nan, "gain = nan"),
-        ((), (), math.inf, "gain = inf"),
-        ((complex(math.nan, 0),), (), 1.0, "zeros contain"),
-        ((), (complex(0, math.inf),), 1.0, "poles contain"),
-        ((1 + 1j,), (), 1.0, r"zeros contain \(1\+1j\) without its exact conjugate"),
-        ((), (1 - 1j,), 1.0, "without its exact conjugate"),
-        ((), (1 + 1j, 1 - 1.0000000000000002j), 1.0, "without its exact conjugate"),
-        ((), (1 + 1j, 1 + 1j, 1 - 1j), 1.0, "without its exact conjugate"),
-    ],
-)
+    [((), (), math.nan, "gain = nan"), ((), (), math.inf, "gain = inf"),
+     ((complex(math.nan, 0),), (), 1.0, "zeros contain"),
+     ((), (complex(0, math.inf),), 1.0, "poles contain"),
+     ((1 + 1j,), (), 1.0, r"zeros contain \(1\+1j\) without its exact conjugate"),
+     ((), (1 - 1j,), 1.0, "without its exact conjugate"),
+     ((), (1 + 1j, 1 - 1.0000000000000002j), 1.0, "without its exact conjugate"),
+     ((), (1 + 1j, 1 + 1j, 1 - 1j), 1.0, "without its exact conjugate")],
+)  # fmt: skip
 def test_construction_refused(zeros, poles, gain, named):
     with pytest.raises(ParameterError, match=named):
         ZeroPoleGain(zeros, poles, gain)

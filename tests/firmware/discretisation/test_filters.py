@@ -187,17 +187,13 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "prewarp in words": ({"prewarp_rad_per_s": "3 Hz"}, "prewarp_rad_per_s = '3 Hz': must be one"),
     "another rule": ({"rule": "euler"}, "rule = 'euler': must be one of tustin, tustin-held, zoh"),
     "another precision": ({"precision": "float16"}, "precision = 'float16': must be float64 or"),
-    "prewarp of a held input": (
-        {"rule": "zoh", "prewarp_rad_per_s": 3.0},
-        "prewarp_rad_per_s with rule = zoh: must be left out",
-    ),
+    "prewarp of a held input": ({"rule": "zoh", "prewarp_rad_per_s": 3.0},
+                                "prewarp_rad_per_s with rule = zoh: must be left out"),
     "prewarp beyond Nyquist": ({"prewarp_rad_per_s": 1e4}, "below the Nyquist frequency"),
     "order 17": ({"system": ZeroPoleGain.lag(0.1, 17)}, "order 17: must be of order 16 or less"),
-    "several inputs": (
-        {"system": control.ss(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)))},
-        "must have one of each",
-    ),
-}
+    "several inputs": ({"system": control.ss(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)))},
+                       "must have one of each"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", REFUSED)

@@ -134,16 +134,11 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation):
 
 
 LOST = [
-    "estimator.channel_1.accumulators",
-    "estimator.channel_2.accumulators",
-    "shortfall_1.accumulators",
-    "shortfall_2.accumulators",
-    "compensator.filter.accumulators",
-    "loss_model.channel_1.accumulators",
-    "other_cars.model.channel_1.accumulators",
-    *(f"other_cars.cars.{i}.channel_2.accumulators" for i in range(4)),
-    "reference_shaper.shaped",
-]
+    "estimator.channel_1.accumulators", "estimator.channel_2.accumulators",
+    "shortfall_1.accumulators", "shortfall_2.accumulators", "compensator.filter.accumulators",
+    "loss_model.channel_1.accumulators", "other_cars.model.channel_1.accumulators",
+    *(f"other_cars.cars.{i}.channel_2.accumulators" for i in range(4)), "reference_shaper.shaped",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("path", LOST)

@@ -158,16 +158,13 @@ def test_swings_of_the_torque_alone_take_both_at_once():
 
 @pytest.mark.parametrize(
     ("rows", "why"),
-    [
-        (swinging(SWING + REACH - 0.01), "small"),
-        (swinging(1.5, half=120), "slow"),
-        (swinging(1.5, ticks=30), "three swings"),
-        ([(r, y, 0.2, -0.2) for r, y, *_ in swinging(1.5)], "commands too small to cause them"),
-        ([(y, y, u, x) for _, y, u, x in swinging(1.5)], "the reference asks for them"),
-        ([(1.0, 2.5 + 0.001 * k, 1.0, 1.0) for k in range(200)], "to one side"),
-        ([(r, NAN, u, x) for r, _, u, x in swinging(1.5)], "not seen"),
-    ],
-)
+    [(swinging(SWING + REACH - 0.01), "small"), (swinging(1.5, half=120), "slow"),
+     (swinging(1.5, ticks=30), "three swings"),
+     ([(r, y, 0.2, -0.2) for r, y, *_ in swinging(1.5)], "commands too small to cause them"),
+     ([(y, y, u, x) for _, y, u, x in swinging(1.5)], "the reference asks for them"),
+     ([(1.0, 2.5 + 0.001 * k, 1.0, 1.0) for k in range(200)], "to one side"),
+     ([(r, NAN, u, x) for r, _, u, x in swinging(1.5)], "not seen")],
+)  # fmt: skip
 def test_swings_that_are_no_limit_cycle(rows, why):
     table, own = bench()
     told(table, own, [(1.0, 1.0, 0.1, 0.0)])

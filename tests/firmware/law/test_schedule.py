@@ -39,13 +39,10 @@ def test_at_the_speed_of_a_design_it_is_that_design(i):
     alone = scheduled((SPEEDS[i],), cars=1).table
     z = np.exp(1j * np.geomspace(1e-3, 3.0, 50))
     for get in (
-        lambda t: t.tracking.filter,
-        lambda t: t.estimator.channel_1,
-        lambda t: t.estimator.channel_2,
-        lambda t: t.compensator.filter,
-        lambda t: t.other_cars.cars[0].channel_1,
-        lambda t: t.other_cars.cars[0].channel_2,
-    ):
+        lambda t: t.tracking.filter, lambda t: t.estimator.channel_1,
+        lambda t: t.estimator.channel_2, lambda t: t.compensator.filter,
+        lambda t: t.other_cars.cars[0].channel_1, lambda t: t.other_cars.cars[0].channel_2,
+    ):  # fmt: skip
         ours, its = (sections_of(get(t))(z) for t in (other.table, alone))
         assert np.abs(ours / its - 1.0).max() < 1e-8
 

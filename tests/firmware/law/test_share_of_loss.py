@@ -100,15 +100,9 @@ def test_a_car_that_is_the_model_is_that_again_once_its_loss_is_confirmed(share)
 @pytest.mark.parametrize("happens", [confirm_or_believe, recover])
 @pytest.mark.parametrize(
     ("information", "suspect", "variance"),
-    [
-        (1e3, 8.0, 0.04),
-        (2e2, 8.0, 0.045),
-        (1e2, 8.0, 0.09),
-        (20.0, 8.0, 0.09),
-        (0.0, 200.0, 0.045),
-        (0.0, 8.0, 0.09),
-    ],
-)
+    [(1e3, 8.0, 0.04), (2e2, 8.0, 0.045), (1e2, 8.0, 0.09), (20.0, 8.0, 0.09), (0.0, 200.0, 0.045),
+     (0.0, 8.0, 0.09)],
+)  # fmt: skip
 def test_the_doubt_about_a_loss_is_what_the_evidence_leaves_of_it(
     information, suspect, variance, happens
 ):

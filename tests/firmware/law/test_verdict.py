@@ -52,24 +52,19 @@ def judge_in(state: Any) -> None:
 
 @pytest.mark.parametrize(
     ("evidence", "verdict"),
-    [
-        ({}, "NOTHING"),
-        ({"lost": 20.0}, "NOTHING"),
-        ({"lost": 20.1}, "TORQUE_LOST"),
-        ({"lost": 25.0, "offset": 24.0}, "TORQUE_LOST"),
-        ({"lost": 25.0, "offset": 26.0}, "TORQUE_OFFSET"),
-        ({"offset": 26.0, "biased": 13.0}, "CANNOT_BE_TOLD"),
-        ({"offset": 26.0, "biased": 12.9}, "TORQUE_OFFSET"),
-        ({"force": 30.0, "lost": 14.0}, "FORCE_LOST"),
-        ({"force": 30.0, "lost": 16.0}, "CANNOT_BE_TOLD"),
-        ({"biased": 30.0, "drifting": 30.0}, "SENSOR_WRONG"),
-        ({"biased": 30.0, "drifting": 31.0}, "SENSOR_DRIFTING"),
-        ({"frozen": 50.0, "biased": 40.0, "force": 16.0}, "SENSOR_FROZEN"),
-        ({"frozen": 50.0, "biased": 40.0, "force": 17.0}, "CANNOT_BE_TOLD"),
-        ({"car": 20.1, "lost": 20.0}, "ANOTHER_CAR"),
-        ({"car": 500.0, "lost": 20.1}, "TORQUE_LOST"),
-    ],
-)
+    [({}, "NOTHING"), ({"lost": 20.0}, "NOTHING"), ({"lost": 20.1}, "TORQUE_LOST"),
+     ({"lost": 25.0, "offset": 24.0}, "TORQUE_LOST"),
+     ({"lost": 25.0, "offset": 26.0}, "TORQUE_OFFSET"),
+     ({"offset": 26.0, "biased": 13.0}, "CANNOT_BE_TOLD"),
+     ({"offset": 26.0, "biased": 12.9}, "TORQUE_OFFSET"),
+     ({"force": 30.0, "lost": 14.0}, "FORCE_LOST"),
+     ({"force": 30.0, "lost": 16.0}, "CANNOT_BE_TOLD"),
+     ({"biased": 30.0, "drifting": 30.0}, "SENSOR_WRONG"),
+     ({"biased": 30.0, "drifting": 31.0}, "SENSOR_DRIFTING"),
+     ({"frozen": 50.0, "biased": 40.0, "force": 16.0}, "SENSOR_FROZEN"),
+     ({"frozen": 50.0, "biased": 40.0, "force": 17.0}, "CANNOT_BE_TOLD"),
+     ({"car": 20.1, "lost": 20.0}, "ANOTHER_CAR"), ({"car": 500.0, "lost": 20.1}, "TORQUE_LOST")],
+)  # fmt: skip
 def test_a_place_must_be_far_ahead_of_both_others(evidence, verdict):
     assert judged(state_of(), **evidence).name == verdict
 
@@ -94,17 +89,10 @@ def test_of_the_other_faults_all_evidence_counts():
 
 @pytest.mark.parametrize(
     ("before", "stands"),
-    [
-        ("TORQUE_LOST", False),
-        ("TORQUE_OFFSET", True),
-        ("FORCE_LOST", True),
-        ("SENSOR_WRONG", True),
-        ("SENSOR_DRIFTING", True),
-        ("ANOTHER_CAR", False),
-        ("BOTH_LOST", False),
-        ("CANNOT_BE_TOLD", False),
-    ],
-)
+    [("TORQUE_LOST", False), ("TORQUE_OFFSET", True), ("FORCE_LOST", True), ("SENSOR_WRONG", True),
+     ("SENSOR_DRIFTING", True), ("ANOTHER_CAR", False), ("BOTH_LOST", False),
+     ("CANNOT_BE_TOLD", False)],
+)  # fmt: skip
 def test_what_has_been_found_stands_where_nothing_else_is_found(before, stands):
     after = judged(state_of(Verdict[before]))
     assert after.name == (before if stands else "NOTHING")
@@ -207,20 +195,16 @@ def test_of_another_fault_no_jump_is_asked():
 
 @pytest.mark.parametrize(
     ("before", "evidence", "verdict"),
-    [
-        ("NOTHING", {"lost": 20.1}, "TORQUE_LOST"),
-        ("NOTHING", {"lost": 20.0}, "CANNOT_BE_TOLD"),
-        ("SENSOR_WRONG", {"lost": 30.0}, "TORQUE_LOST"),
-        ("TORQUE_LOST", {"lost": 30.0, "biased": 90.0}, "TORQUE_LOST"),
-        ("TORQUE_LOST", {"lost": 900.0, "force": 100.1}, "BOTH_LOST"),
-        ("TORQUE_LOST", {"lost": 900.0, "force": 190.0, "drifting": 90.0}, "TORQUE_LOST"),
-        ("TORQUE_LOST", {"lost": 900.0, "force": 190.1, "drifting": 90.0}, "BOTH_LOST"),
-        ("TORQUE_LOST", {"lost": 900.0, "force": 140.0, "offset": 41.0}, "TORQUE_LOST"),
-        ("BOTH_LOST", {"lost": 0.0}, "BOTH_LOST"),
-        ("FORCE_LOST", {"lost": 0.0}, "CANNOT_BE_TOLD"),
-        ("FORCE_LOST", {"lost": 20.1}, "TORQUE_LOST"),
-    ],
-)
+    [("NOTHING", {"lost": 20.1}, "TORQUE_LOST"), ("NOTHING", {"lost": 20.0}, "CANNOT_BE_TOLD"),
+     ("SENSOR_WRONG", {"lost": 30.0}, "TORQUE_LOST"),
+     ("TORQUE_LOST", {"lost": 30.0, "biased": 90.0}, "TORQUE_LOST"),
+     ("TORQUE_LOST", {"lost": 900.0, "force": 100.1}, "BOTH_LOST"),
+     ("TORQUE_LOST", {"lost": 900.0, "force": 190.0, "drifting": 90.0}, "TORQUE_LOST"),
+     ("TORQUE_LOST", {"lost": 900.0, "force": 190.1, "drifting": 90.0}, "BOTH_LOST"),
+     ("TORQUE_LOST", {"lost": 900.0, "force": 140.0, "offset": 41.0}, "TORQUE_LOST"),
+     ("BOTH_LOST", {"lost": 0.0}, "BOTH_LOST"), ("FORCE_LOST", {"lost": 0.0}, "CANNOT_BE_TOLD"),
+     ("FORCE_LOST", {"lost": 20.1}, "TORQUE_LOST")],
+)  # fmt: skip
 def test_of_a_confirmed_loss_it_is_asked_whether_the_other_channel_is_lost_too(
     before, evidence, verdict
 ):

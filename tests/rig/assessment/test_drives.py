@@ -54,15 +54,9 @@ def test_a_loop_that_swings_in_its_limits_is_found_though_it_is_stable():
 
 @pytest.mark.parametrize(
     ("name", "settings"),
-    [
-        ("ideal", ()),
-        ("ideal", SWINGING[:1]),
-        ("noisy", SWINGING),
-        ("default", SWINGING),
-        ("no-compensation", ()),
-        ("chapter-2", ()),
-    ],
-)
+    [("ideal", ()), ("ideal", SWINGING[:1]), ("noisy", SWINGING), ("default", SWINGING),
+     ("no-compensation", ()), ("chapter-2", ())],
+)  # fmt: skip
 def test_a_calm_loop_is_calm(name, settings):
     scenario = load(name, settings)
     assert findings_of(scenario) == []

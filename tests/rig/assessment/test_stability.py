@@ -110,13 +110,9 @@ def test_a_person_sees_one_table_and_one_verdict(monkeypatch):
 
 @pytest.mark.parametrize(
     ("settings", "state"),
-    [
-        (UNSTABLE, "torque dead"),
-        ((*UNSTABLE, "fault.kind=none"), "torque dead"),
-        (("tick_s=0.01",), "healthy"),
-        (FAST, "healthy"),
-    ],
-)
+    [(UNSTABLE, "torque dead"), ((*UNSTABLE, "fault.kind=none"), "torque dead"),
+     (("tick_s=0.01",), "healthy"), (FAST, "healthy")],
+)  # fmt: skip
 def test_run_refuses_an_unstable_loop_and_says_what_works(settings, state):
     """Unstable healthy, after the fault, or after one that the scenario does not have."""
     done = asked("run", "thesis-step", *options(settings))

@@ -116,14 +116,10 @@ def test_what_was_on_the_bus_before_is_not_heard(own_can):
 def test_frames_of_every_kind_change_nothing(number, own_can, tmp_path):
     """Extended, remote, FD and error frames, wrong lengths and checksums, before every tick."""
     kinds = [
-        {"data": bytes(8)},
-        {"data": b"123"},
-        {"data": bytes(8), "is_extended_id": True},
-        {"is_remote_frame": True, "dlc": 8},
-        {"data": bytes(8), "is_fd": True},
-        {"data": bytes(64), "is_fd": True},
-        {"data": bytes(8), "is_error_frame": True},
-    ]
+        {"data": bytes(8)}, {"data": b"123"}, {"data": bytes(8), "is_extended_id": True},
+        {"is_remote_frame": True, "dlc": 8}, {"data": bytes(8), "is_fd": True},
+        {"data": bytes(64), "is_fd": True}, {"data": bytes(8), "is_error_frame": True},
+    ]  # fmt: skip
     settings = ["duration_s=0.03"]
     quiet = record(tmp_path, *settings)[0].read_text().splitlines()
     log = tmp_path / "disturbed.log"

@@ -16,14 +16,11 @@ WhoComputes = Callable[[Plan], AbstractContextManager[Compute]]
 
 SHORT: dict[str, Any] = {
     "settings": {"duration_s": 0.06, "fault.at_s": 0.03, "fault.kind": "actuator-dead"},
-    "axes": {
-        "plant.mass_kg": {"share": 0.2},
-        "fault.left": {"range": [0.0, 0.9]},
-        "design.compensation": {"values": ["always", "on-confirmation"]},
-    },
+    "axes": {"plant.mass_kg": {"share": 0.2}, "fault.left": {"range": [0.0, 0.9]},
+             "design.compensation": {"values": ["always", "on-confirmation"]}},
     "requirements": {"small": "deviation_peak_after_fault_mps2 <= 1e-3 or missed_detection"},
     "runs": 12,
-}
+}  # fmt: skip
 
 
 def planned(**values: Any) -> Plan:

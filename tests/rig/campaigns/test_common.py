@@ -24,16 +24,13 @@ from can_rig.scenario.controls import controller_table
 
 MIXED: dict[str, Any] = {
     "settings": {"duration_s": 0.2, "fault.at_s": 0.1, "fault.value": 3.0},
-    "axes": {
-        "fault.kind": {
-            "values": ["none", "actuator-dead", "actuator-stuck", "sensor-biased", "frames-missing"]
-        },
-        "reference.amplitude_mps2": {"values": [0.5, 1.0]},
-        "plant.sensor.noise_mps2": {"values": [0.0, 1e-3]},
-        "plant.mass_kg": {"values": [1250.0, 1300.0]},
-    },
+    "axes": {"fault.kind": {"values": ["none", "actuator-dead", "actuator-stuck", "sensor-biased",
+                                       "frames-missing"]},
+             "reference.amplitude_mps2": {"values": [0.5, 1.0]},
+             "plant.sensor.noise_mps2": {"values": [0.0, 1e-3]},
+             "plant.mass_kg": {"values": [1250.0, 1300.0]}},
     "runs": 24,
-}
+}  # fmt: skip
 
 
 def test_a_run_is_the_same_after_whatever_others():
@@ -56,11 +53,8 @@ def test_the_loop_of_a_run_is_the_one_that_is_made_for_it_alone():
 def test_a_file_that_has_changed_is_read_again(tmp_path):
     file, other = tmp_path / "r.csv", tmp_path / "other.csv"
     settings = [
-        "duration_s=0.2",
-        "fault.at_s=0.1",
-        "fault.kind=actuator-dead",
-        "reference.kind=csv",
-    ]
+        "duration_s=0.2", "fault.at_s=0.1", "fault.kind=actuator-dead", "reference.kind=csv",
+    ]  # fmt: skip
     file.write_text("0,1\n1,1\n")
     scenario = load("default", [*settings, f"reference.file={file}"])
     before = metrics_of(scenario)

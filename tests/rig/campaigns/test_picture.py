@@ -43,13 +43,10 @@ def test_a_metric_of_a_plant_by_numbers(metric, said):
 
 @pytest.mark.parametrize(
     ("key", "said"),
-    [
-        ("fault.at_s", "fault: begin in s"),
-        ("fault.0.left", "fault 0: share left"),
-        ("plant.front_cornering_stiffness_n_per_rad", "plant: front cornering stiffness in N/rad"),
-        ("latency_ticks", "latency ticks"),
-    ],
-)
+    [("fault.at_s", "fault: begin in s"), ("fault.0.left", "fault 0: share left"),
+     ("plant.front_cornering_stiffness_n_per_rad", "plant: front cornering stiffness in N/rad"),
+     ("latency_ticks", "latency ticks")],
+)  # fmt: skip
 def test_an_axis_is_named_in_words_with_its_unit(key, said):
     assert label_of_key(key).replace("\n", " ") == said
 

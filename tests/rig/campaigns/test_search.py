@@ -20,14 +20,11 @@ from tests.rig.campaigns.running import ran, rows
 
 BUDGET = 40
 SEARCH: dict[str, Any] = {
-    "axes": {
-        "fault.left": {"range": [0.0, 0.9]},
-        "plant.sensor.noise_mps2": {"range": [1e-4, 1e-2], "scale": "log"},
-    },
+    "axes": {"fault.left": {"range": [0.0, 0.9]},
+             "plant.sensor.noise_mps2": {"range": [1e-4, 1e-2], "scale": "log"}},
     "requirements": {"small": "deviation_peak_after_fault_mps2 <= 1e-3", "calm": "suspicions == 0"},
-    "runs": BUDGET,
-    "search": "small",
-}
+    "runs": BUDGET, "search": "small",
+}  # fmt: skip
 
 
 def planned(**values: Any) -> Plan:
@@ -108,13 +105,10 @@ def test_what_was_found_is_counted():
 
 @pytest.mark.parametrize(
     ("values", "line"),
-    [
-        ({"search": "smal"}, "search = 'smal': must be a requirement, small or calm or all"),
-        ({"axes": {}}, "must come with axes"),
-        ({"requirements": {}}, "must come with a requirement"),
-        ({"sampling": "sobol"}, 'must come with sampling = "random"'),
-    ],
-)
+    [({"search": "smal"}, "search = 'smal': must be a requirement, small or calm or all"),
+     ({"axes": {}}, "must come with axes"), ({"requirements": {}}, "must come with a requirement"),
+     ({"sampling": "sobol"}, 'must come with sampling = "random"')],
+)  # fmt: skip
 def test_what_cannot_be_searched_is_one_line(values, line):
     with pytest.raises(ScenarioError, match=re.escape(line)):
         planned(**values)

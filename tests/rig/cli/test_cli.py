@@ -66,15 +66,10 @@ def test_what_is_wrong_is_one_line_with_exit_status_2(arguments, reason, tmp_pat
 
 @pytest.mark.parametrize(
     ("arguments", "reason"),
-    [
-        (["--bus", "nosuch"], "unknown bus interface"),
-        (["--set", "tick_s=-1"], "tick_s"),
-        (["--silence", "0"], "above 0"),
-        (["--silence", "nan"], "above 0"),
-        (["--wait", "-1"], "above 0"),
-        (["--wait", "soon"], "not a valid float"),
-    ],
-)
+    [(["--bus", "nosuch"], "unknown bus interface"), (["--set", "tick_s=-1"], "tick_s"),
+     (["--silence", "0"], "above 0"), (["--silence", "nan"], "above 0"),
+     (["--wait", "-1"], "above 0"), (["--wait", "soon"], "not a valid float")],
+)  # fmt: skip
 @pytest.mark.parametrize("node", ["plant", "controller"])
 def test_a_node_refuses_as_clearly(node, arguments, reason):
     done = asked(node, "thesis-step", *arguments)

@@ -36,15 +36,12 @@ def imported_by(*arguments: str) -> set[str]:
 
 @pytest.mark.parametrize(
     ("arguments", "without"),
-    [
-        (["--help"], TABLES | PICTURES | SOLVERS | NUMBERS | {"rich"}),
-        (["scenarios"], TABLES | PICTURES | SOLVERS | NUMBERS),
-        (["check", "thesis-step"], TABLES | PICTURES | SOLVERS | {"yaml", "numpy.f2py.f2py2e"}),
-        (["bus"], TABLES | PICTURES | SOLVERS),
-        (["run", "--help"], TABLES | PICTURES | SOLVERS),
-        (["plant", "--help"], TABLES | PICTURES | SOLVERS | LAW),
-    ],
-)
+    [(["--help"], TABLES | PICTURES | SOLVERS | NUMBERS | {"rich"}),
+     (["scenarios"], TABLES | PICTURES | SOLVERS | NUMBERS),
+     (["check", "thesis-step"], TABLES | PICTURES | SOLVERS | {"yaml", "numpy.f2py.f2py2e"}),
+     (["bus"], TABLES | PICTURES | SOLVERS), (["run", "--help"], TABLES | PICTURES | SOLVERS),
+     (["plant", "--help"], TABLES | PICTURES | SOLVERS | LAW)],
+)  # fmt: skip
 def test_a_light_command_imports_nothing_heavy(arguments, without):
     imported = imported_by(*arguments)
     assert "can_rig.cli.main" in imported

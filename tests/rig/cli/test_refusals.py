@@ -59,14 +59,9 @@ def test_a_new_folder_of_decoded_messages_is_made(tmp_path):
 
 @pytest.mark.parametrize(
     "words",
-    [
-        ("run", "--bus", ""),
-        ("run", "--in-process", "--bus", " "),
-        ("plant", "--bus", ""),
-        ("controller", "--bus", ""),
-        ("replay", "a.log", "--bus", ""),
-    ],
-)
+    [("run", "--bus", ""), ("run", "--in-process", "--bus", " "), ("plant", "--bus", ""),
+     ("controller", "--bus", ""), ("replay", "a.log", "--bus", "")],
+)  # fmt: skip
 def test_a_bus_has_a_name(words, tmp_path):
     done = asked(*words)
     assert done.returncode == 2

@@ -37,14 +37,9 @@ def test_a_run_as_json_has_the_metrics_of_its_folder(tmp_path):
 
 @pytest.mark.parametrize(
     ("words", "silence_s"),
-    [
-        ((), 1.0),
-        (("--silence", "7"), 7.0),
-        (("--pace", "50"), math.inf),
-        (("--injectable",), math.inf),
-        (("--injectable", "--silence", "7"), 7.0),
-    ],
-)
+    [((), 1.0), (("--silence", "7"), 7.0), (("--pace", "50"), math.inf),
+     (("--injectable",), math.inf), (("--injectable", "--silence", "7"), 7.0)],
+)  # fmt: skip
 def test_a_run_that_may_be_paused_bears_every_silence_unless_told(words, silence_s, monkeypatch):
     asked_for: list[execution.Options] = []
     monkeypatch.setattr(execution, "execute", lambda *of: asked_for.append(of[-1]))

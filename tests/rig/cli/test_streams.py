@@ -41,15 +41,10 @@ def test_a_value_that_such_a_terminal_does_not_know_is_refused():
 
 @pytest.mark.parametrize(
     "words",
-    [
-        ("--version",),
-        ("run", "--help"),
-        ("scenarios",),
-        ("check", "thesis-step", "--json"),
-        ("decode", LOG),
-    ],
+    [("--version",), ("run", "--help"), ("scenarios",), ("check", "thesis-step", "--json"),
+     ("decode", LOG)],
     ids=lambda words: " ".join(map(str, words)),
-)
+)  # fmt: skip
 def test_a_full_disk_at_standard_output_is_one_line(words):
     with Path("/dev/full").open("w") as full:
         done = rig(*words, stdout=full)

@@ -217,18 +217,13 @@ def test_a_bad_class_is_refused_before_the_run(text, own):
 
 @pytest.mark.parametrize(
     ("kind", "right"),
-    [
-        ("other:C", r"no module other, neither installed nor in .*"),
-        ("sub/other:C", r"no module other, neither installed nor in .*/sub$"),
-        ("mine.py:C", r"no class or function C in .*/mine\.py$"),
-        ("./sub/math:log", r"math is .*, which hides .*/sub/math\.py: rename that file"),
-        (
-            "math:C",
-            r"no class or function C in .*math.*, which hides .*/math\.py: rename that file",
-        ),
-        ("sub.mine:C", r"no class or function C in .*sub/mine\.py$"),
-    ],
-)
+    [("other:C", r"no module other, neither installed nor in .*"),
+     ("sub/other:C", r"no module other, neither installed nor in .*/sub$"),
+     ("mine.py:C", r"no class or function C in .*/mine\.py$"),
+     ("./sub/math:log", r"math is .*, which hides .*/sub/math\.py: rename that file"),
+     ("math:C", r"no class or function C in .*math.*, which hides .*/math\.py: rename that file"),
+     ("sub.mine:C", r"no class or function C in .*sub/mine\.py$")],
+)  # fmt: skip
 def test_a_class_that_is_not_found_says_where_to_look(kind, right, own):
     (own / "sub").mkdir()
     for name in ("mine", "math", "sub/mine", "sub/math"):

@@ -71,16 +71,10 @@ def test_the_features_of_public_databases(draws):
 
 @pytest.mark.parametrize(
     ("length", "signed", "scale", "kind"),
-    [
-        (63, False, 1, np.int64),
-        (64, False, 1, np.uint64),
-        (64, True, 1, np.int64),
-        (63, False, 2, np.uint64),
-        (64, True, 2, object),
-        (8, False, 1.0, np.int64),
-        (8, False, 0.5, np.float64),
-    ],
-)
+    [(63, False, 1, np.int64), (64, False, 1, np.uint64), (64, True, 1, np.int64),
+     (63, False, 2, np.uint64), (64, True, 2, object), (8, False, 1.0, np.int64),
+     (8, False, 0.5, np.float64)],
+)  # fmt: skip
 def test_columns_are_as_narrow_as_what_can_occur(length, signed, scale, kind):
     signal = Signal("S", 0, length, is_signed=signed, conversion=BaseConversion.factory(scale))
     columns = Decoder(Database([DbcMessage(1, "M", 8, [signal])])).decode(

@@ -62,14 +62,10 @@ def test_two_messages_of_one_name_are_two_messages(tmp_path):
 
 @pytest.mark.parametrize(
     ("wanted", "found"),
-    [
-        ({"messages": ["SAME"]}, {"SAME_100", "SAME_101"}),
-        ({"messages": ["SAME_101"]}, {"SAME_101"}),
-        ({"signals": ["SAME.X"]}, {"SAME_100", "SAME_101"}),
-        ({"signals": ["SAME_100.X"]}, {"SAME_100"}),
-        ({"signals": ["X"]}, {"SAME_100", "SAME_101"}),
-    ],
-)
+    [({"messages": ["SAME"]}, {"SAME_100", "SAME_101"}), ({"messages": ["SAME_101"]}, {"SAME_101"}),
+     ({"signals": ["SAME.X"]}, {"SAME_100", "SAME_101"}),
+     ({"signals": ["SAME_100.X"]}, {"SAME_100"}), ({"signals": ["X"]}, {"SAME_100", "SAME_101"})],
+)  # fmt: skip
 def test_either_name_may_be_asked_for(tmp_path, wanted, found):
     assert set(Decoder(load_database(written(tmp_path, TWICE)), **wanted).messages) == found
 
@@ -145,32 +141,18 @@ def test_more_values_of_a_multiplexer_than_can_be_listed(tmp_path, values):
 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
-    [
-        ("SG_ Z :", "SG_ 2Z :", "line 8, column 6: '2Z .*': a name must begin with a letter or an"),
-        ("258 OTHER", "258 3OTHER", "line 7, column 9: '3OTHER.*': a name must begin with"),
-        ("(2,0)", "(.5,0)", r"line 6, column 19: '\.5.*': a number must have a digit before its"),
-        ("BO_ 258", 'CM_ 257 "x";\nBO_ 258', "line 7, column 5: '257 .*': BO_ must stand before"),
-        ("BO_ 258", 'CM_ SG_ 257 "x";\nBO_ 258', "line 7, column 13: .* the name of the signal is"),
-        ("BO_ 258", 'CM_ "x"\n\nBO_ 258', "line 7: 'CM_ \"x\"' must end with a semicolon"),
-        (
-            "BO_ 258",
-            'CM_ "x;\nCM_ "y, z";\nBO_ 258',
-            "line 7: 'CM_ \"x;' must have quotation marks",
-        ),
-        (
-            "BO_ 258",
-            'CM_ "a\nb";\nCM_ "x;\nBO_ 258',
-            "line 9: 'CM_ \"x;' must have quotation marks",
-        ),
-        (
-            "BO_ 258",
-            "BO_ 2147483647",
-            "line 7: .*more than 11 bits in message OTHER.*must be at most",
-        ),
-        ("BO_ 258", "}\nBO_ 258", "line 7, column 1: '}': a DBC cannot have this here"),
-        (" SG_ Z : 0", 'VAL_ 9 Q 1 "a"\n 2 "b" ;\n SG_ Z : .0', "line 10, column 10: '.0"),
-    ],
-)
+    [("SG_ Z :", "SG_ 2Z :", "line 8, column 6: '2Z .*': a name must begin with a letter or an"),
+     ("258 OTHER", "258 3OTHER", "line 7, column 9: '3OTHER.*': a name must begin with"),
+     ("(2,0)", "(.5,0)", r"line 6, column 19: '\.5.*': a number must have a digit before its"),
+     ("BO_ 258", 'CM_ 257 "x";\nBO_ 258', "line 7, column 5: '257 .*': BO_ must stand before"),
+     ("BO_ 258", 'CM_ SG_ 257 "x";\nBO_ 258', "line 7, column 13: .* the name of the signal is"),
+     ("BO_ 258", 'CM_ "x"\n\nBO_ 258', "line 7: 'CM_ \"x\"' must end with a semicolon"),
+     ("BO_ 258", 'CM_ "x;\nCM_ "y, z";\nBO_ 258', "line 7: 'CM_ \"x;' must have quotation marks"),
+     ("BO_ 258", 'CM_ "a\nb";\nCM_ "x;\nBO_ 258', "line 9: 'CM_ \"x;' must have quotation marks"),
+     ("BO_ 258", "BO_ 2147483647", "line 7: .*more than 11 bits in message OTHER.*must be at most"),
+     ("BO_ 258", "}\nBO_ 258", "line 7, column 1: '}': a DBC cannot have this here"),
+     (" SG_ Z : 0", 'VAL_ 9 Q 1 "a"\n 2 "b" ;\n SG_ Z : .0', "line 10, column 10: '.0")],
+)  # fmt: skip
 @pytest.mark.parametrize("strict", [True, False])
 def test_what_cannot_be_loaded_is_said_with_its_line(tmp_path, old, new, said, strict):
     """Found in opendbc; the last one has lines that are left out."""

@@ -47,13 +47,9 @@ DM1 = 0xFECA
 
 def manage(control: int, size: int, group: int, source: int, to: int, at_s: float = 0.0) -> Message:
     data = [
-        control,
-        size & 0xFF,
-        size >> 8,
-        min(-(-size // 7), 255),
-        0xFF,
+        control, size & 0xFF, size >> 8, min(-(-size // 7), 255), 0xFF,
         *group.to_bytes(3, "little"),
-    ]
+    ]  # fmt: skip
     return sent(0xEC, data, source, to, at_s)
 
 

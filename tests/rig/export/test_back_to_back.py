@@ -81,13 +81,9 @@ def answers_of(law: Law, precision: Precision) -> bytes:
 
 @pytest.mark.parametrize(
     ("compiler", "level", "precision"),
-    [
-        ("gcc", "-O0", "float64"),
-        ("gcc", "-O2", "float64"),
-        ("gcc", "-O2", "float32"),
-        ("clang", "-O3", "float32"),
-    ],
-)
+    [("gcc", "-O0", "float64"), ("gcc", "-O2", "float64"), ("gcc", "-O2", "float32"),
+     ("clang", "-O3", "float32")],
+)  # fmt: skip
 def test_every_bit_of_the_state_is_the_same(compiler, level, precision):
     """-O1 is the sanitizers' level."""
     if shutil.which(compiler) is None:

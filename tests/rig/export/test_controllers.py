@@ -212,11 +212,12 @@ def test_an_emulated_board_counts_the_frames_of_the_speed():
     for name in ("ecu", "arm:m4f"):
         application = controller_of(name, scenario)
         assert isinstance(application, WholeNode)
-        node = EcuNode(scenario, network, lambda message: None, application.start())
+        ecu = application.start()
+        node = EcuNode(scenario, network, lambda message: None, ecu)
         for message in (message for tick in random_frames(network, 3) for message in tick):
             node.take(message)
         counts.append(node.rejected())
-        node.close()
+        ecu.close()
     assert counts[0] == counts[1]
     assert counts[1]["VEHICLE_SPEED"]
 
@@ -373,15 +374,10 @@ def test_a_node_that_stood_still_sends_no_burst():
             node.take(end.frame(0.01 * (number % 50), number), now_us)
 
     for late_us, made_up in (
-        (TICK_US // 2 - 1, 0),
-        (TICK_US // 2, 1),
-        (15 * TICK_US + TICK_US // 2, 16),
-        (16 * TICK_US, 16),
-        (16 * TICK_US + 1, 0),
-        (2_000_000, 0),
-        (2**31 + TICK_US, 0),
+        (TICK_US // 2 - 1, 0), (TICK_US // 2, 1), (15 * TICK_US + TICK_US // 2, 16),
+        (16 * TICK_US, 16), (16 * TICK_US + 1, 0), (2_000_000, 0), (2**31 + TICK_US, 0),
         (2**32 - 2 * TICK_US - 1, 0),
-    ):
+    ):  # fmt: skip
         library.ecu_init(ecu)
         sent.clear()
         ends = [Transmitter(network.reference), Transmitter(network.feedback)]

@@ -129,15 +129,11 @@ RECORD = {
 
 @pytest.mark.parametrize(
     ("missing", "lost"),
-    [
-        ([], set()),
-        ([EMULATOR], {"instructions"}),
-        ([COMPILER, "gcov"], {"memory", "instructions", "trials"}),
-        (["gcc"], {"mutants", "trials"}),
-        (["cppcheck", "frama-c"], {"misra", "eva"}),
-    ],
+    [([], set()), ([EMULATOR], {"instructions"}),
+     ([COMPILER, "gcov"], {"memory", "instructions", "trials"}), (["gcc"], {"mutants", "trials"}),
+     (["cppcheck", "frama-c"], {"misra", "eva"})],
     ids=lambda each: " ".join(each) if isinstance(each, list) else "",
-)
+)  # fmt: skip
 def test_what_a_missing_tool_would_measure_is_named(missing, lost, tmp_path, monkeypatch):
     """The rest is on the page, whatever else this machine lacks."""
     monkeypatch.setattr(shutil, "which", lambda name: None if name in missing else f"/bin/{name}")

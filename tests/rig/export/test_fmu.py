@@ -334,14 +334,10 @@ def test_the_node_answers_an_operation_that_it_does_not_understand(cluster, tmp_
     confirm = struct.pack("<III", 0x20, 12, 0x100)
     remote = struct.pack("<IIIBBH", 0x10, 16, 0x100, 0, 1, 0)
     for wrong in (
-        struct.pack("<II", 0x77, 8),
-        struct.pack("<IIIBBH", 0x10, 16, 0x100, 0, 0, 8),
-        struct.pack("<II", 0x10, 7),
-        struct.pack("<II", 0x10, 400),
-        struct.pack("<II", 0x20, 12),
-        struct.pack("<IIIBBH300x", 0x10, 316, 0x100, 0, 0, 300),
-        b"\x10",
-    ):
+        struct.pack("<II", 0x77, 8), struct.pack("<IIIBBH", 0x10, 16, 0x100, 0, 0, 8),
+        struct.pack("<II", 0x10, 7), struct.pack("<II", 0x10, 400), struct.pack("<II", 0x20, 12),
+        struct.pack("<IIIBBH300x", 0x10, 316, 0x100, 0, 0, 300), b"\x10",
+    ):  # fmt: skip
         node.step(0.001)
         answer = struct.pack("<IIH", 0x01, 10 + len(wrong), len(wrong)) + wrong
         assert node.event(confirm + remote + wrong) == answer

@@ -295,20 +295,17 @@ OF_ITSELF = r"lines\.Other\.wrong: must not contain Other, which contains it"
 
 @pytest.mark.parametrize(
     ("declaration", "line", "said"),
-    [
-        ("float", 4, NOT_A_FIELD),
-        ('Annotated[complex, "1", "a"]', 4, NOT_A_FIELD),
-        ('Annotated[float, "1", "a", (0, 4)]', 4, NOT_A_FIELD),
-        ('Annotated[int, "1", "a", (4, 0)]', 4, NOT_A_FIELD),
-        ('Annotated[FloatArray, "1", "a", (0,)]', 4, NOT_A_FIELD),
-        ('Annotated[Records[Row], "1", "a", (0,)]', 4, NOT_A_FIELD),
-        ('Annotated[Records[Row], "1", "a", (3, 2)]', 4, NOT_A_FIELD),
-        ('Annotated[Records[float], "1", "a", (3,)]', 4, NOT_A_FIELD),
-        ('Annotated[Records["Other"], "1", "a", (3,)]', 4, OF_ITSELF),
-        ('Annotated["Other", "1", "a"]', 4, OF_ITSELF),
-        ('Annotated["Unknown", "1", "a"]', 2, r"name 'Unknown' is not defined"),
-    ],
-)
+    [("float", 4, NOT_A_FIELD), ('Annotated[complex, "1", "a"]', 4, NOT_A_FIELD),
+     ('Annotated[float, "1", "a", (0, 4)]', 4, NOT_A_FIELD),
+     ('Annotated[int, "1", "a", (4, 0)]', 4, NOT_A_FIELD),
+     ('Annotated[FloatArray, "1", "a", (0,)]', 4, NOT_A_FIELD),
+     ('Annotated[Records[Row], "1", "a", (0,)]', 4, NOT_A_FIELD),
+     ('Annotated[Records[Row], "1", "a", (3, 2)]', 4, NOT_A_FIELD),
+     ('Annotated[Records[float], "1", "a", (3,)]', 4, NOT_A_FIELD),
+     ('Annotated[Records["Other"], "1", "a", (3,)]', 4, OF_ITSELF),
+     ('Annotated["Other", "1", "a"]', 4, OF_ITSELF),
+     ('Annotated["Unknown", "1", "a"]', 2, r"name 'Unknown' is not defined")],
+)  # fmt: skip
 def test_a_field_that_is_declared_wrongly_is_refused(translate, declaration, line, said):
     text = f"""
         class Other(Struct):

@@ -41,14 +41,11 @@ def test_logs_and_a_database(tool, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     "change",
-    [
-        lambda frames: frames[1:],
-        lambda frames: replace(frames, time_ns=frames.time_ns + 2000),
-        lambda frames: replace(frames, arbitration_id=frames.arbitration_id ^ 1),
-        lambda frames: replace(frames, flags=frames.flags ^ 64),
-        lambda frames: replace(frames, data=frames.data ^ 1),
-    ],
-)
+    [lambda frames: frames[1:], lambda frames: replace(frames, time_ns=frames.time_ns + 2000),
+     lambda frames: replace(frames, arbitration_id=frames.arbitration_id ^ 1),
+     lambda frames: replace(frames, flags=frames.flags ^ 64),
+     lambda frames: replace(frames, data=frames.data ^ 1)],
+)  # fmt: skip
 def test_another_frame_is_found(tool, tmp_path, monkeypatch, change):
     messages = [message for message in plain(5) if message.dlc]
     path = by_python_can(tmp_path / "a.log", messages)

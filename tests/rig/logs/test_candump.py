@@ -235,12 +235,9 @@ def test_compressed_and_cut_off(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "reason"),
-    [
-        ("a.txt", "unknown log format; the suffix must be one of .log, .asc"),
-        ("a.blf.gz", "unknown log format"),
-        ("log", "unknown log format"),
-    ],
-)
+    [("a.txt", "unknown log format; the suffix must be one of .log, .asc"),
+     ("a.blf.gz", "unknown log format"), ("log", "unknown log format")],
+)  # fmt: skip
 def test_names_that_say_nothing(tmp_path, name, reason):
     with pytest.raises(LogError, match="there is no such file"):
         read_log(tmp_path / name)

@@ -45,14 +45,11 @@ def blf(folder: Path, *containers: bytes) -> Path:
 def test_objects_of_every_type(tmp_path):
     fd = struct.pack("<HBBLLBBB5x64s", 1, 1, 9, 0x80000123, 0, 0, 3, 12, bytes(range(64)))
     objects = [
-        one(1, classic()),
-        one(115, b"another type, which is passed over"),
-        one(86, classic(0x81234567, flags=1), stamp=7, unit=1),
-        one(1, classic(flags=0x80, dlc=9)),
-        one(100, fd),
-        one(101, fd_64(0x7FF, 15, 64, 0x1000, b"\x5a" * 60)),
+        one(1, classic()), one(115, b"another type, which is passed over"),
+        one(86, classic(0x81234567, flags=1), stamp=7, unit=1), one(1, classic(flags=0x80, dlc=9)),
+        one(100, fd), one(101, fd_64(0x7FF, 15, 64, 0x1000, b"\x5a" * 60)),
         one(101, fd_64(0x7FF, 5, 0, 0x1010, b"")),
-    ]
+    ]  # fmt: skip
     found = rows(whole(blf(tmp_path, container(b"".join(objects)))))
     assert found == [
         (5, 0x123, 0, "0", 2, b"\1\2"),
@@ -88,15 +85,12 @@ def test_objects_outside_any_container(tmp_path):
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [
-        (one(1, classic(), size=0), "no whole object"),
-        (one(1, classic(), size=16), "no whole object"),
-        (one(1, classic()[:9]), "no whole object"),
-        (one(1, classic(), stamp=(1 << 64) - 1), "after the year 2116"),
-        (one(1, classic(), stamp=1 << 61, unit=1), "after the year 2116"),
-        (b"x" * 40, "no whole object"),
-    ],
-)
+    [(one(1, classic(), size=0), "no whole object"),
+     (one(1, classic(), size=16), "no whole object"), (one(1, classic()[:9]), "no whole object"),
+     (one(1, classic(), stamp=(1 << 64) - 1), "after the year 2116"),
+     (one(1, classic(), stamp=1 << 61, unit=1), "after the year 2116"),
+     (b"x" * 40, "no whole object")],
+)  # fmt: skip
 def test_an_object_that_would_never_end_is_named(tmp_path, content, said):
     with pytest.raises(LogError, match=rf"a.blf: byte 144: does not follow the format: .*{said}"):
         whole(blf(tmp_path, container(content)))
@@ -104,14 +98,11 @@ def test_an_object_that_would_never_end_is_named(tmp_path, content, said):
 
 @pytest.mark.parametrize(
     ("damaged", "said"),
-    [
-        (struct.pack("<4sHHLL", b"LOBJ", 16, 1, 0, 10) + bytes(300), "plausible size"),
-        (struct.pack("<4sHHLL", b"LOBJ", 16, 1, 1 << 31, 10), "plausible size"),
-        (b"JBOL" + bytes(40), "plausible size"),
-        (container(b"x", method=7), "unknown compression 7"),
-        (container(b"")[:32] + b"\xff" * 8, "header check"),
-    ],
-)
+    [(struct.pack("<4sHHLL", b"LOBJ", 16, 1, 0, 10) + bytes(300), "plausible size"),
+     (struct.pack("<4sHHLL", b"LOBJ", 16, 1, 1 << 31, 10), "plausible size"),
+     (b"JBOL" + bytes(40), "plausible size"), (container(b"x", method=7), "unknown compression 7"),
+     (container(b"")[:32] + b"\xff" * 8, "header check")],
+)  # fmt: skip
 def test_a_damaged_container_is_named(tmp_path, damaged, said):
     path = blf(tmp_path, container(one(1, classic())), damaged)
     with pytest.raises(LogError, match=rf"a.blf: byte \d+: does not follow the format: .*{said}"):

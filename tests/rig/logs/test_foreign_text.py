@@ -88,23 +88,12 @@ def test_numbers_beyond_any_range_in_a_peak_trace(tmp_path, old, new, said):
 
 @pytest.mark.parametrize(
     "line",
-    [
-        "99999999999999999999.5 1  123  Rx   d 1 00",
-        "1.0 1  100000000  Rx   d 1 00",
-        "1.0 1  1FFFFFFFFFFFFFFFFx  Rx   d 1 00",
-        "1.0 1  800  Rx   d 1 00",
-        "1.0 0  123  Rx   d 1 00",
-        "1.0 300  123  Rx   d 1 00",
-        "1.0 1  123  Rx   d 2147483648 00",
-        "1.0 1  123  Rx   d 2 00",
-        "1.0 1  123  Rx   d 1 100",
-        "1.0 1  123  Rx   d 1 0G",
-        "1.0 1  1G3x  Rx   d 1 00",
-        "1.0 CANFD 1 Rx  123  1 0 9 65 00",
-        "1.0 CANFD 1 Rx  123  1 0",
-        "1.0 CANFD 1 Rx",
-    ],
-)
+    ["99999999999999999999.5 1  123  Rx   d 1 00", "1.0 1  100000000  Rx   d 1 00",
+     "1.0 1  1FFFFFFFFFFFFFFFFx  Rx   d 1 00", "1.0 1  800  Rx   d 1 00", "1.0 0  123  Rx   d 1 00",
+     "1.0 300  123  Rx   d 1 00", "1.0 1  123  Rx   d 2147483648 00", "1.0 1  123  Rx   d 2 00",
+     "1.0 1  123  Rx   d 1 100", "1.0 1  123  Rx   d 1 0G", "1.0 1  1G3x  Rx   d 1 00",
+     "1.0 CANFD 1 Rx  123  1 0 9 65 00", "1.0 CANFD 1 Rx  123  1 0", "1.0 CANFD 1 Rx"],
+)  # fmt: skip
 def test_numbers_beyond_any_range_in_a_vector_log(tmp_path, line):
     path = written(tmp_path, f"{ASC}0.5 1  123  Rx   d 1 00\n{line}\n", "a.asc")
     with pytest.raises(LogError, match="line 4: not a valid frame"):

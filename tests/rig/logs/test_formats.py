@@ -183,15 +183,9 @@ def test_a_part_of_the_recording(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "kind"),
-    [
-        (LOG, ".log"),
-        (LOG2ASC, ".asc"),
-        (CANOE, ".asc"),
-        (PEAK, ".trc"),
-        (GVRET, ".csv"),
-        (busmaster(), "BUSMASTER"),
-    ],
-)
+    [(LOG, ".log"), (LOG2ASC, ".asc"), (CANOE, ".asc"), (PEAK, ".trc"), (GVRET, ".csv"),
+     (busmaster(), "BUSMASTER")],
+)  # fmt: skip
 @pytest.mark.parametrize("name", ["a.log", "a.mf4", "a.txt", "a"])
 def test_a_log_is_known_by_what_is_in_it(tmp_path, text, kind, name):
     path = written(tmp_path, text, name)

@@ -45,17 +45,13 @@ def converted(tmp_path: Path, name: str, data_type: int, kind: int, *tables: lis
 
 @pytest.mark.parametrize(
     ("data_type", "kind", "tables"),
-    [
-        (UNSIGNED, RATIONAL, [[0, 2, 1, 0, 0, 1]]),
-        (UNSIGNED, RATIONAL, [[1, 0, 1, 0, 0, 64]]),
-        (UNSIGNED, FORMULA, [[], ["abs(X1 - 40) + 2*X"]]),
-        (UNSIGNED, INTERPOLATED, [[0, 0, 10, 100, 70, 130]]),
-        (UNSIGNED, NEAREST, [[2, 1, 7, 2, 20, 3, 21, 4]]),
-        (UNSIGNED, NEAREST, [DLC_TO_BYTES]),
-        (UNSIGNED, RANGES, [[3, 5, 1, 9, 9, 2, 20, 40, 3, 7]]),
-        (TEXT, TEXT_TO_VALUE, [[1, 2, 5], ["A", "B"]]),
-    ],
-)
+    [(UNSIGNED, RATIONAL, [[0, 2, 1, 0, 0, 1]]), (UNSIGNED, RATIONAL, [[1, 0, 1, 0, 0, 64]]),
+     (UNSIGNED, FORMULA, [[], ["abs(X1 - 40) + 2*X"]]),
+     (UNSIGNED, INTERPOLATED, [[0, 0, 10, 100, 70, 130]]),
+     (UNSIGNED, NEAREST, [[2, 1, 7, 2, 20, 3, 21, 4]]), (UNSIGNED, NEAREST, [DLC_TO_BYTES]),
+     (UNSIGNED, RANGES, [[3, 5, 1, 9, 9, 2, 20, 40, 3, 7]]),
+     (TEXT, TEXT_TO_VALUE, [[1, 2, 5], ["A", "B"]])],
+)  # fmt: skip
 def test_a_number_is_what_asammdf_makes_of_it(tmp_path, data_type, kind, tables):
     path = converted(tmp_path, "BusChannel", data_type, kind, *tables)
     with asammdf.MDF(path, process_bus_logging=False) as file:
@@ -87,14 +83,11 @@ def test_a_number_that_is_a_word_is_refused(tmp_path, name, kind, tables):
 
 @pytest.mark.parametrize(
     ("kind", "tables", "said"),
-    [
-        (FORMULA, [[], ["__import__('os').abort()"]], "a formula that is not read"),
-        (FORMULA, [[], ["9**9**9**9"]], "a formula that is not read"),
-        (99, [[]], "BusChannel"),
-        (1, [[-1, 0]], "must be between 0 and 4294967295"),
-        (1, [[float("nan"), 0]], "must be between 0 and 4294967295"),
-    ],
-)
+    [(FORMULA, [[], ["__import__('os').abort()"]], "a formula that is not read"),
+     (FORMULA, [[], ["9**9**9**9"]], "a formula that is not read"), (99, [[]], "BusChannel"),
+     (1, [[-1, 0]], "must be between 0 and 4294967295"),
+     (1, [[float("nan"), 0]], "must be between 0 and 4294967295")],
+)  # fmt: skip
 def test_a_conversion_to_no_number_is_refused(tmp_path, kind, tables, said):
     with pytest.raises(LogError, match=said):
         whole(converted(tmp_path, "BusChannel", UNSIGNED, kind, *tables))

@@ -37,14 +37,11 @@ def test_a_refused_frame_is_sent_once_as_soon_as_there_is_room(times, clock):
 
 @pytest.mark.parametrize(
     ("code", "expected"),
-    [
-        (errno.ENETDOWN, "the interface has been down for 0.05 s: sudo ip link set up can9"),
-        (errno.ENODEV, "the interface is gone: is the adapter plugged in"),
-        (errno.ENOBUFS, "the transmit queue has been full for 0.05 s"),
-        (errno.EIO, "Failed to transmit: no"),
-        (None, "Failed to transmit: no"),
-    ],
-)
+    [(errno.ENETDOWN, "the interface has been down for 0.05 s: sudo ip link set up can9"),
+     (errno.ENODEV, "the interface is gone: is the adapter plugged in"),
+     (errno.ENOBUFS, "the transmit queue has been full for 0.05 s"),
+     (errno.EIO, "Failed to transmit: no"), (None, "Failed to transmit: no")],
+)  # fmt: skip
 def test_the_bound_and_the_line(code, expected, clock):
     with Refusing(clock, 10**9, code) as bus, pytest.raises(BusLostError) as caught:
         PersistentSender(bus, 0.05, clock)(FRAME)

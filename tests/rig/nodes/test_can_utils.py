@@ -107,15 +107,11 @@ def seen_on_a_terminal(command, wanted, keep_going, listens=True):
 
 @pytest.mark.parametrize(
     ("command", "wanted"),
-    [
-        (("cansniffer", "-c", "vcan0"), [b"100", b"101", b"110", b"111", b"120"]),
-        (
-            (*CANTOOLS, "monitor", "-i", "socketcan", "-c", "vcan0", DBC / "steer_by_wire.dbc"),
-            [b"DSTAR_REFERENCE", b"DSTAR_FEEDBACK", b"CONTROLLER_STATUS", b"RUN"],
-        ),
-    ],
+    [(("cansniffer", "-c", "vcan0"), [b"100", b"101", b"110", b"111", b"120"]),
+     ((*CANTOOLS, "monitor", "-i", "socketcan", "-c", "vcan0", DBC / "steer_by_wire.dbc"),
+      [b"DSTAR_REFERENCE", b"DSTAR_FEEDBACK", b"CONTROLLER_STATUS", b"RUN"])],
     ids=["cansniffer", "cantools-monitor"],
-)
+)  # fmt: skip
 def test_a_viewer_shows_the_loop(command, wanted, tmp_path):
     def run_a_while():
         record(tmp_path, "duration_s=0.05", bus=BUS)

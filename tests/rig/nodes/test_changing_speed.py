@@ -28,13 +28,9 @@ from firmware_model.firmware import PYTHON_LAW
 from tests.helpers import asked, decoded
 
 DRIVE = (
-    "duration_s=0.6",
-    "drive.ramps=[[0.0, 10.0], [0.5, 13.0]]",
-    "reference.kind=sine",
-    "fault.at_s=0.3",
-    "budget.box=0",
-    "budget.actuator_box=0",
-)
+    "duration_s=0.6", "drive.ramps=[[0.0, 10.0], [0.5, 13.0]]", "reference.kind=sine",
+    "fault.at_s=0.3", "budget.box=0", "budget.actuator_box=0",
+)  # fmt: skip
 SCENARIO = load("default", DRIVE)
 NETWORK = network_of(SCENARIO)
 FRAMES = 6

@@ -69,15 +69,11 @@ def test_a_feedback_is_answered_with_what_the_program_sends():
 
 @pytest.mark.parametrize(
     "other",
-    [
-        frame(is_extended_id=True),
-        can.Message(arbitration_id=FEEDBACK, is_extended_id=False, is_remote_frame=True, dlc=8),
-        frame(is_error_frame=True),
-        frame(0x700),
-        frame(COMMANDS[0]),
-    ],
+    [frame(is_extended_id=True),
+     can.Message(arbitration_id=FEEDBACK, is_extended_id=False, is_remote_frame=True, dlc=8),
+     frame(is_error_frame=True), frame(0x700), frame(COMMANDS[0])],
     ids=["extended", "remote", "error", "another", "a command"],
-)
+)  # fmt: skip
 def test_other_frames_do_not_reach_it(other):
     node, program, sent = node_of()
     assert node.take(other) is False
@@ -131,12 +127,6 @@ def test_those_of_the_speed_come_last_where_it_is_heard():
     assert list(counts) == [network.reference.name, network.feedback.name, "VEHICLE_SPEED"]
     firsts = [min(each.values()) for each in counts.values()]
     assert [first - firsts[0] for first in firsts] == [0, len(CheckStatus), 2 * len(CheckStatus)]
-
-
-def test_closing_the_node_ends_the_program():
-    node, program, _ = node_of()
-    node.close()
-    assert program.closed == 1
 
 
 def test_what_was_chosen_runs_and_is_ended():

@@ -25,14 +25,10 @@ FAULT_TICK = 100
 
 @pytest.mark.parametrize(
     "settings",
-    [
-        [],
-        ["plant.sensor.noise_mps2=0.01", "seed=5"],
-        ["fault.kind=frames-corrupted", "fault.at_s=0.1"],
-        ["latency_ticks=1", "tick_s=0.005"],
-    ],
+    [[], ["plant.sensor.noise_mps2=0.01", "seed=5"],
+     ["fault.kind=frames-corrupted", "fault.at_s=0.1"], ["latency_ticks=1", "tick_s=0.005"]],
     ids=str,
-)
+)  # fmt: skip
 def test_the_log_is_the_same_on_every_run_and_every_bus(settings, tmp_path):
     logs = [
         record(tmp_path, *SHORT, *settings, bus=bus)[0].read_bytes()
@@ -224,12 +220,9 @@ def test_a_channel_that_comes_back_acts_again(kind, count, tmp_path):
 
 @pytest.mark.parametrize(
     ("kind", "channel"),
-    [
-        ("actuator-dead", "torque"),
-        ("frames-missing", "torque"),
-        ("frames-corrupted", "force-difference"),
-    ],
-)
+    [("actuator-dead", "torque"), ("frames-missing", "torque"),
+     ("frames-corrupted", "force-difference")],
+)  # fmt: skip
 def test_the_error_is_below_a_millionth_before_and_long_after_every_loss(kind, channel, tmp_path):
     settings = ["fault.at_s=1", "duration_s=4", f"fault.kind={kind}", f"fault.channel={channel}"]
     values = decoded(record(tmp_path, *settings)[0])

@@ -28,35 +28,25 @@ from can_rig.scenario.settings import Scenario
 from tests.vcan import PATIENT, TIMEOUT_S
 
 TOLD = (
-    Command("PAUSE"),
-    Command("INJECT", "frames-missing", "torque", None, 0.1),
-    Command("INJECT", "frames-forged", "force-difference", 40.0),
-    Command("STEP", value=50.0),
-    Command("INJECT", "frames-corrupted", "sensor"),
-    Command("STEP", value=80.0),
-    Command("CLEAR", place="force-difference"),
-    Command("PACE", value=0.0),
-)
+    Command("PAUSE"), Command("INJECT", "frames-missing", "torque", None, 0.1),
+    Command("INJECT", "frames-forged", "force-difference", 40.0), Command("STEP", value=50.0),
+    Command("INJECT", "frames-corrupted", "sensor"), Command("STEP", value=80.0),
+    Command("CLEAR", place="force-difference"), Command("PACE", value=0.0),
+)  # fmt: skip
 
 
 YAW, ACCELERATION, ECHO = "yaw-rate", "lateral-acceleration", "torque-echo"
 TO_SENSORS = (
-    Command("PAUSE"),
-    Command("INJECT", "sensor-scaled", ACCELERATION, 1.5),
+    Command("PAUSE"), Command("INJECT", "sensor-scaled", ACCELERATION, 1.5),
     Command("INJECT", "sensor-biased", YAW, 0.05, 0.1),
-    Command("INJECT", "frames-missing", YAW, None, 0.2),
-    Command("STEP", value=50.0),
-    Command("INJECT", "sensor-lying", ECHO),
-    Command("INJECT", "sensor-tick-stuck", ACCELERATION),
-    Command("INJECT", "sensor-late", YAW, 12.0),
-    Command("STEP", value=80.0),
-    Command("CLEAR", place=ACCELERATION),
-    Command("INJECT", "sensor-invalid", ECHO),
-    Command("STEP", value=60.0),
-    Command("CLEAR"),
+    Command("INJECT", "frames-missing", YAW, None, 0.2), Command("STEP", value=50.0),
+    Command("INJECT", "sensor-lying", ECHO), Command("INJECT", "sensor-tick-stuck", ACCELERATION),
+    Command("INJECT", "sensor-late", YAW, 12.0), Command("STEP", value=80.0),
+    Command("CLEAR", place=ACCELERATION), Command("INJECT", "sensor-invalid", ECHO),
+    Command("STEP", value=60.0), Command("CLEAR"),
     Command("INJECT", "sensor-swapped", YAW, float(operator_frames.places().index(ACCELERATION))),
     Command("PACE", value=0.0),
-)
+)  # fmt: skip
 
 
 @contextmanager

@@ -60,13 +60,10 @@ def test_times_are_exact_decimals_however_long_the_run(tick, tick_us):
 
 OTHER = [
     {"is_extended_id": True, "arbitration_id": 0x1ABCDEF0},
-    {"is_extended_id": True, "arbitration_id": 0x101},
-    {"data": []},
-    {"data": [1, 2, 3]},
-    {"is_remote_frame": True, "data": None, "dlc": 0},
-    {"arbitration_id": 0x7FF},
+    {"is_extended_id": True, "arbitration_id": 0x101}, {"data": []}, {"data": [1, 2, 3]},
+    {"is_remote_frame": True, "data": None, "dlc": 0}, {"arbitration_id": 0x7FF},
     {"arbitration_id": 0},
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("kwargs", OTHER, ids=str)

@@ -111,14 +111,11 @@ def test_an_injected_fault_is_that_of_a_scenario_from_the_next_tick_on(tmp_path,
 
 @pytest.mark.parametrize(
     ("name", "kind", "value", "keys"),
-    [
-        ("ideal", "gust", 300.0, "force_n=300, arm_m=0.3"),
-        ("ideal", "bank", -5.0, "bank_percent=-5"),
-        ("ideal", "friction", 0.5, "front=0.5, rear=0.5"),
-        ("nonlinear-car", "steering-kick", 20.0, "torque_nm=20"),
-        ("two-masses", "push", 0.4, "size=0.4"),
-    ],
-)
+    [("ideal", "gust", 300.0, "force_n=300, arm_m=0.3"), ("ideal", "bank", -5.0, "bank_percent=-5"),
+     ("ideal", "friction", 0.5, "front=0.5, rear=0.5"),
+     ("nonlinear-car", "steering-kick", 20.0, "torque_nm=20"),
+     ("two-masses", "push", 0.4, "size=0.4")],
+)  # fmt: skip
 def test_the_world_pushes_from_the_next_tick_on_until_it_is_cleared(
     tmp_path, name, kind, value, keys
 ):
@@ -209,14 +206,11 @@ def test_the_controller_follows_the_next_command_alone():
 
 def test_the_log_of_a_touched_run_gives_the_same_log_again(tmp_path):
     commands = [
-        (333, DEAD),
-        (333, Command("PAUSE")),
-        (333, Command("STEP", value=2.0)),
+        (333, DEAD), (333, Command("PAUSE")), (333, Command("STEP", value=2.0)),
         (343, Command("PACE", value=0.5)),
         (702, Command("INJECT", "actuator-stuck", "force-difference", 1e9)),
-        (1002, Command("CLEAR")),
-        (1004, Command("INJECT", "sensor-late", "sensor", 5000.0)),
-    ]
+        (1002, Command("CLEAR")), (1004, Command("INJECT", "sensor-late", "sensor", 5000.0)),
+    ]  # fmt: skip
     log, scenario, summary = touched(tmp_path, *commands)
     assert summary.rejected_frames["RIG_CONTROL"] == {"refused": 1}  # no such late sensor
     told = tuple(touches(read_log(log), network_of(scenario)))

@@ -4,14 +4,11 @@ from pathlib import Path
 
 MOTOROLA = Path(__file__).with_name("motorola.dbc")
 SIGNALS = {
-    "reference": "VMC_Request.YawRefAcc",
-    "feedback": "ESP_Motion.DStarMeas",
-    "command_1": "EPS_Command.MotorTorque",
-    "command_2": "DRV_Command.ForceDiff",
-    "fault_estimate": "EPS_Status.Estimate",
-    "mode": "EPS_Status.State",
+    "reference": "VMC_Request.YawRefAcc", "feedback": "ESP_Motion.DStarMeas",
+    "command_1": "EPS_Command.MotorTorque", "command_2": "DRV_Command.ForceDiff",
+    "fault_estimate": "EPS_Status.Estimate", "mode": "EPS_Status.State",
     "fault_state": "EPS_Status.Fault",
-}
+}  # fmt: skip
 FD_SIGNALS = {
     "reference": "M1.Value", "feedback": "M2.Value", "command_1": "M3.Value",
     "command_2": "M4.Value", "fault_estimate": "M5.Value", "mode": "M5.Mode",

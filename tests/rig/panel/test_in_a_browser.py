@@ -183,13 +183,9 @@ def test_each_state_is_said_and_what_has_no_effect_is_disabled(page):
     state("ended", "was stopped")
     expect(page.locator("#save")).to_be_enabled()
     for values in (
-        [1e-8, 1.0000001e-8],
-        [1.0, 1.000001],
-        [1.0, 1.0 + 2.0**-52],
-        [0.0, 5e-324],
-        [0.0, 0.0],
+        [1e-8, 1.0000001e-8], [1.0, 1.000001], [1.0, 1.0 + 2.0**-52], [0.0, 5e-324], [0.0, 0.0],
         [None, None],
-    ):
+    ):  # fmt: skip
         page.evaluate("v => charts.setData({time: [0, 1], output: v, reference: v})", values)
     process.terminate()
     assert process.wait(60) == 0

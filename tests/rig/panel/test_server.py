@@ -112,22 +112,18 @@ async def refusal(client, own, token: str, order: str) -> str:
 
 @pytest.mark.parametrize(
     ("token", "order", "why"),
-    [
-        (LOOK, '{"order": "stop"}', "this address may look only"),
-        (TOUCH, '{"order": "clear"}', "the plant node obeys no commands"),
-        (TOUCH, '{"order": "choose", "scenario": "/etc/passwd"}', "must be one of the list"),
-        (TOUCH, '{"order": "save", "name": "../x"}', "no run has ended yet"),
-        (TOUCH, '{"order": "inject", "kind": "x", "place": "torque"}', "not an order"),
-        (TOUCH, '{"order": "pace", "value": "fast"}', "not an order"),
-        (TOUCH, '{"order": "pace", "value": 1' + 400 * "0" + "}", "not an order"),
-        (TOUCH, '{"order": "clear", "place": "x"}', "not an order"),
-        (TOUCH, '{"order": "step", "ticks": 1.5}', "must be a whole number of ticks"),
-        (TOUCH, 2000 * "[", "not an order"),
-        (TOUCH, '{"order": "_socket"}', "not an order"),
-        (TOUCH, "[]", "not an order"),
-        (TOUCH, "{", "not an order"),
-    ],
-)
+    [(LOOK, '{"order": "stop"}', "this address may look only"),
+     (TOUCH, '{"order": "clear"}', "the plant node obeys no commands"),
+     (TOUCH, '{"order": "choose", "scenario": "/etc/passwd"}', "must be one of the list"),
+     (TOUCH, '{"order": "save", "name": "../x"}', "no run has ended yet"),
+     (TOUCH, '{"order": "inject", "kind": "x", "place": "torque"}', "not an order"),
+     (TOUCH, '{"order": "pace", "value": "fast"}', "not an order"),
+     (TOUCH, '{"order": "pace", "value": 1' + 400 * "0" + "}", "not an order"),
+     (TOUCH, '{"order": "clear", "place": "x"}', "not an order"),
+     (TOUCH, '{"order": "step", "ticks": 1.5}', "must be a whole number of ticks"),
+     (TOUCH, 2000 * "[", "not an order"), (TOUCH, '{"order": "_socket"}', "not an order"),
+     (TOUCH, "[]", "not an order"), (TOUCH, "{", "not an order")],
+)  # fmt: skip
 def test_what_cannot_be_done_is_refused_in_a_line(run, token, order, why):
     async def test(client, own):
         assert why in await refusal(client, own, token, order)

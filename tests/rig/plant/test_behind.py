@@ -240,17 +240,10 @@ def behind(*settings: str, tick_s: float = 1e-3) -> Any:
 
 @pytest.mark.parametrize(
     ("settings", "tick_s", "steps"),
-    [
-        ([], 1e-3, 1),
-        ([], 5e-3, 1),
-        *(([one], 1e-3, 2) for one in EQUAL_LAGS),
-        (EQUAL_LAGS[:2], 1e-3, 2),
-        (EQUAL_LAGS, 1e-3, 2),
-        (EQUAL_LAGS, 5e-4, 1),
-        (EQUAL_LAGS, 1.1e-3, 3),
-        (EQUAL_LAGS, 6e-3, 12),
-    ],
-)
+    [([], 1e-3, 1), ([], 5e-3, 1), *(([one], 1e-3, 2) for one in EQUAL_LAGS),
+     (EQUAL_LAGS[:2], 1e-3, 2), (EQUAL_LAGS, 1e-3, 2), (EQUAL_LAGS, 5e-4, 1),
+     (EQUAL_LAGS, 1.1e-3, 3), (EQUAL_LAGS, 6e-3, 12)],
+)  # fmt: skip
 def test_a_tick_is_one_step_or_as_many_as_are_short(settings, tick_s, steps):
     """At most half a millisecond, where anything lags."""
     plant = behind(COUNTING, *settings, tick_s=tick_s)

@@ -18,14 +18,11 @@ def believed():
     car = parameters_vehicle2()
     load_n = car.m * 9.81 / (car.a + car.b)
     values = {
-        "mass_kg": car.m,
-        "yaw_inertia_kgm2": car.I_z,
-        "front_axle_distance_m": car.a,
-        "rear_axle_distance_m": car.b,
-        "rear_track_m": car.T_r,
+        "mass_kg": car.m, "yaw_inertia_kgm2": car.I_z, "front_axle_distance_m": car.a,
+        "rear_axle_distance_m": car.b, "rear_track_m": car.T_r,
         "front_cornering_stiffness_n_per_rad": -car.tire.p_ky1 * load_n * car.b / 2.0,
         "rear_cornering_stiffness_n_per_rad": -car.tire.p_ky1 * load_n * car.a / 2.0,
-    }
+    }  # fmt: skip
     return [f"plant.{key}={value}" for key, value in values.items()]
 
 

@@ -175,15 +175,10 @@ def recorded(folder: Path, name: str, *settings: str) -> list[tuple[bytes, bytes
 
 @pytest.mark.parametrize(
     ("name", "settings"),
-    [
-        ("default", [DRY]),
-        ("default", [ALL]),
-        ("drive-cycle", [ALL, "reference.kind=step"]),
-        ("nonlinear-car", [ALL]),
-        ("two-masses", [PUSH, "plant.e=[0, 0, 1.5, 0]"]),
-        ("chapter-2", [PUSH, "plant.gw={zeros=[-1], poles=[-2, [-1, 3]], gain=4}"]),
-    ],
-)
+    [("default", [DRY]), ("default", [ALL]), ("drive-cycle", [ALL, "reference.kind=step"]),
+     ("nonlinear-car", [ALL]), ("two-masses", [PUSH, "plant.e=[0, 0, 1.5, 0]"]),
+     ("chapter-2", [PUSH, "plant.gw={zeros=[-1], poles=[-2, [-1, 3]], gain=4}"])],
+)  # fmt: skip
 def test_with_and_without_a_bus_it_is_the_same_world(tmp_path, name, settings):
     nodes, columns = recorded(tmp_path, name, *SHORT, *settings)
     assert nodes == columns
@@ -246,16 +241,11 @@ def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick():
 
 @pytest.mark.parametrize(
     ("given", "values"),
-    [
-        ([], {"disturbance.kind": "gust", "disturbance.force_n": 30.0}),
-        ([GUST], {"disturbance.force_n": 30.0}),
-        ([GUST], {"disturbance.1.kind": "bank", "disturbance.1.bank_percent": 2.0}),
-        (
-            [GUST, "disturbance.1.kind=none"],
-            {"disturbance.1.at_s": 2.0, "disturbance.0.arm_m": 1.0},
-        ),
-    ],
-)
+    [([], {"disturbance.kind": "gust", "disturbance.force_n": 30.0}),
+     ([GUST], {"disturbance.force_n": 30.0}),
+     ([GUST], {"disturbance.1.kind": "bank", "disturbance.1.bank_percent": 2.0}),
+     ([GUST, "disturbance.1.kind=none"], {"disturbance.1.at_s": 2.0, "disturbance.0.arm_m": 1.0})],
+)  # fmt: skip
 def test_an_axis_changes_what_a_setting_changes(given, values):
     """Campaigns replace settings in a scenario; ``--set`` writes into its text."""
     written = read("default", [*given, *as_settings(values)])

@@ -82,19 +82,13 @@ def drawn(seed: int, sensed: bool = False) -> list[str]:
             continue
         channel = str(draw.choice(places))
         values = {
-            "kind": kind,
-            "channel": channel,
-            "at_s": int(draw.integers(150)) / 1000,
+            "kind": kind, "channel": channel, "at_s": int(draw.integers(150)) / 1000,
             "for_s": int(draw.integers(1, 150)) / 1000,
             "every": 1 if kind == RESTARTED else int(draw.choice([1, 1, 1, 2, 7])),
-            "left": int(draw.integers(10)) / 10,
-            "bias_mps2": 0.05,
-            "offset": float(draw.normal()),
-            "drift_per_s": float(10 * draw.normal()),
-            "amplitude": float(draw.normal()),
-            "rate_per_s": float(draw.uniform(0.1, 300)),
-            "late_ticks": int(draw.integers(1, 30)),
-        }
+            "left": int(draw.integers(10)) / 10, "bias_mps2": 0.05, "offset": float(draw.normal()),
+            "drift_per_s": float(10 * draw.normal()), "amplitude": float(draw.normal()),
+            "rate_per_s": float(draw.uniform(0.1, 300)), "late_ticks": int(draw.integers(1, 30)),
+        }  # fmt: skip
         values["gain"] = float(draw.choice([-1.0, 57.3]))
         if kind == "sensor-swapped":
             values["other"] = str(draw.choice([each for each in MEASURED if each != channel]))

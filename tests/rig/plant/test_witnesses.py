@@ -28,17 +28,12 @@ GUST = {"kind": "gust", "force_n": 500.0, "arm_m": 0.3, "at_s": 0.1, "ramp_s": 0
 
 def scenario(**more):
     values = {
-        "duration_s": 0.5,
-        "latency_ticks": 1,
-        "plant": {
-            "torque_actuator": {"lag_s": 0.005},
-            "force_difference_actuator": {"lag_s": 0.015},
-        },
+        "duration_s": 0.5, "latency_ticks": 1,
+        "plant": {"torque_actuator": {"lag_s": 0.005},
+                  "force_difference_actuator": {"lag_s": 0.015}},
         "design": {"tau_q_s": 0.015, "alpha_q": 3, "alpha": 2, "estimator": "zoh"},
-        "limits": {"torque_nm": 400.0, "force_difference_n": 4000.0},
-        "sensor": SENSORS,
-        **more,
-    }
+        "limits": {"torque_nm": 400.0, "force_difference_n": 4000.0}, "sensor": SENSORS, **more,
+    }  # fmt: skip
     return draft("cluster", values).scenario
 
 
@@ -312,20 +307,16 @@ BAD_FAULTS = [
     ({"kind": "sensor-invalid"}, "fault.channel = 'torque': must be yaw-rate or"),
     ({"kind": "sensor-tick-stuck", "channel": "sensor"}, "fault.channel = 'sensor': must be yaw"),
     ({"kind": "sensor-swapped", "channel": "yaw-rate"}, "fault.other: must be another"),
-    (
-        {"kind": "sensor-swapped", "channel": "yaw-rate", "other": "yaw-rate"},
-        "fault.other = 'yaw-rate': must be another sensor than the channel",
-    ),
-    (
-        {"kind": "sensor-swapped", "channel": "yaw-rate", "other": "force-difference-echo"},
-        "fault.other = 'force-difference-echo': must be a sensor of the scenario",
-    ),
+    ({"kind": "sensor-swapped", "channel": "yaw-rate", "other": "yaw-rate"},
+     "fault.other = 'yaw-rate': must be another sensor than the channel"),
+    ({"kind": "sensor-swapped", "channel": "yaw-rate", "other": "force-difference-echo"},
+     "fault.other = 'force-difference-echo': must be a sensor of the scenario"),
     ({"kind": "sensor-dead", "other": "yaw-rate"}, "fault.other = 'yaw-rate': must be left out"),
     ({"kind": "sensor-dead", "channel": "force-difference-echo"}, "fault.channel = 'force-diff"),
     ({"kind": "actuator-dead", "channel": "yaw-rate"}, "fault.channel = 'yaw-rate': must be one"),
     ({"kind": "frames-late", "channel": "force-difference-echo"}, "must be a sensor of the scen"),
     ({"kind": "sensor-biased", "channel": "yaw-rate"}, "fault.offset: must be set"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("fault", "line"), BAD_FAULTS, ids=str)

@@ -86,21 +86,12 @@ def test_csv_parquet_and_mf4_have_the_same_columns(measured, tmp_path):
 
 @pytest.mark.parametrize(
     ("role", "unit", "factor"),
-    [
-        ("yaw_rate", "deg/sec", np.pi / 180),
-        ("yaw_rate", "°/s", np.pi / 180),
-        ("yaw_rate", "Unit_DegreOfArcPerSeco", np.pi / 180),
-        ("lateral_acceleration", "m/s^2", 1.0),
-        ("lateral_acceleration", "m/s²", 1.0),
-        ("lateral_acceleration", "m/s/s", 1.0),
-        ("lateral_acceleration", "g", 9.80665),
-        ("speed", "kph", 1 / 3.6),
-        ("speed", "km/h", 1 / 3.6),
-        ("torque", "N m", 1.0),
-        ("torque", "N*m", 1.0),
-        ("torque", "cNm", 0.01),
-    ],
-)
+    [("yaw_rate", "deg/sec", np.pi / 180), ("yaw_rate", "°/s", np.pi / 180),
+     ("yaw_rate", "Unit_DegreOfArcPerSeco", np.pi / 180), ("lateral_acceleration", "m/s^2", 1.0),
+     ("lateral_acceleration", "m/s²", 1.0), ("lateral_acceleration", "m/s/s", 1.0),
+     ("lateral_acceleration", "g", 9.80665), ("speed", "kph", 1 / 3.6), ("speed", "km/h", 1 / 3.6),
+     ("torque", "N m", 1.0), ("torque", "N*m", 1.0), ("torque", "cNm", 0.01)],
+)  # fmt: skip
 def test_units_as_databases_spell_them(role, unit, factor):
     assert unit_factor(ROLES[role], unit, "here") == pytest.approx(factor)
 
@@ -116,21 +107,17 @@ BAD = [
     ({KEY + "yaw_rate": "MOTION.YawRat"}, "did you mean YawRate?"),
     ({KEY + "yaw_rate": "MOTIN.YawRate"}, "did you mean MOTION?"),
     ({KEY + "yaw_rate": "YawRate"}, "must be Message.Signal"),
-    ({KEY + "yaw_rate": ""}, "yaw_rate: must be set"),
-    ({KEY + "speed": ""}, "speed: must be set"),
+    ({KEY + "yaw_rate": ""}, "yaw_rate: must be set"), ({KEY + "speed": ""}, "speed: must be set"),
     ({KEY + "lateral_acceleration": ""}, "lateral_acceleration: must be set"),
-    ({KEY + "torque": ""}, "torque: must be set"),
-    ({KEY + "torque": []}, "at least one signal"),
-    ({KEY + "torque": 3}, "must be"),
-    ({KEY + "torque": [3]}, "must be"),
+    ({KEY + "torque": ""}, "torque: must be set"), ({KEY + "torque": []}, "at least one signal"),
+    ({KEY + "torque": 3}, "must be"), ({KEY + "torque": [3]}, "must be"),
     ({KEY + "torque": ["EPS_STATUS.MotorTorque", "EPS_STATUS.Other"]}, "has no signal Other"),
     ({KEY + "torque.bus": "can7"}, "no frame is of bus can7"),
     ({KEY + "torque.bus": "can0"}, "has no frame of EPS_STATUS on bus can0"),
     ({KEY + "torque.bus": 0}, "must be a text"),
     ({KEY + "torque.unit": "%"}, "has unit '%'; must be"),
     ({KEY + "torque.unit": "m/s"}, "has unit 'm/s'; must be"),
-    ({KEY + "torque.unt": "Nm"}, "unknown key"),
-    ({KEY + "torque.factor": 0}, "must not be 0"),
+    ({KEY + "torque.unt": "Nm"}, "unknown key"), ({KEY + "torque.factor": 0}, "must not be 0"),
     ({KEY + "torque.factor": True}, "must be a number"),
     ({KEY + "torque.factor": "2 Nm"}, "must be a number"),
     ({KEY + "torque.offset": "x"}, "must be a number"),
@@ -144,10 +131,9 @@ BAD = [
     ({KEY + "yaw": "MOTION.YawRate"}, "unknown key"),
     ({KEY + "speed": [{"signal": "WHEELS.Speed", "factor": 100.0}]}, "reaches 1000 m/s"),
     ({KEY + "speed": [{"signal": "WHEELS.Speed", "factor": 0.01}]}, "reaches 0.1 m/s"),
-    ({"network.dbc": "absent.dbc"}, "absent.dbc"),
-    ({"network.dbc": ""}, "must name the database"),
+    ({"network.dbc": "absent.dbc"}, "absent.dbc"), ({"network.dbc": ""}, "must name the database"),
     ({"network.tick": "Tick"}, "signals: must be set beside network.tick"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("changes", "said"), BAD)
@@ -160,15 +146,10 @@ def test_bad_signals_are_one_line(changes, said):
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [
-        ({"max_age_s": 0.0}, "must be above 0"),
-        ({"max_age_s": float("nan")}, "must be above 0"),
-        ({"dbc": "absent.dbc"}, "absent.dbc"),
-        ({"dbc": {"can1": "absent.dbc"}}, "absent.dbc"),
-        ({"from_s": 4.05, "to_s": 4.3}, "has no frame of MOTION"),
-        ({"from_s": 100.0}, "no frame"),
-    ],
-)
+    [({"max_age_s": 0.0}, "must be above 0"), ({"max_age_s": float("nan")}, "must be above 0"),
+     ({"dbc": "absent.dbc"}, "absent.dbc"), ({"dbc": {"can1": "absent.dbc"}}, "absent.dbc"),
+     ({"from_s": 4.05, "to_s": 4.3}, "has no frame of MOTION"), ({"from_s": 100.0}, "no frame")],
+)  # fmt: skip
 def test_bad_options_are_one_line(options, said):
     with pytest.raises(RigError) as caught:
         can_rig.replay(LOG, CAR, **options)  # type: ignore[arg-type]

@@ -13,15 +13,11 @@ from tests.rig.results.quiet import COLUMNS, quiet
 
 @pytest.mark.parametrize(
     ("name", "settings"),
-    [
-        ("thesis-step", []),
-        ("thesis-sine", ["plant.sensor.noise_mps2=0.005", "seed=7"]),
-        ("chapter-2", []),
-        ("nonlinear-car", ["plant.sensor.noise_mps2=0.005"]),
-        ("thesis-sine", ["latency_ticks=1", "design.tau_s=0.01", "design.tau_q_s=0.02"]),
-        ("thesis-step", ["plant.mass_kg=1500", "model.mass_kg=1400", "limits.torque_nm=500"]),
-    ],
-)
+    [("thesis-step", []), ("thesis-sine", ["plant.sensor.noise_mps2=0.005", "seed=7"]),
+     ("chapter-2", []), ("nonlinear-car", ["plant.sensor.noise_mps2=0.005"]),
+     ("thesis-sine", ["latency_ticks=1", "design.tau_s=0.01", "design.tau_q_s=0.02"]),
+     ("thesis-step", ["plant.mass_kg=1500", "model.mass_kg=1400", "limits.torque_nm=500"])],
+)  # fmt: skip
 def test_fault_free_is_the_rig_s_own_run_without_the_fault(run, name, settings):
     """Same plant, limits, noise and latency, to the last bit of D*."""
     short = ["duration_s=0.3", "fault.at_s=0.1", *settings]

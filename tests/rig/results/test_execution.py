@@ -259,12 +259,9 @@ def test_the_same_what_if_twice_gives_the_same_bytes_but_for_the_times(there, tm
 
 @pytest.mark.parametrize(
     ("writer", "name", "there"),
-    [
-        ((Path, "write_text"), SUMMARY, set()),
-        ((Signals, "write_csv"), SIGNALS, {SUMMARY}),
-        ((Figure, "savefig"), REPORT, {SUMMARY, SIGNALS}),
-    ],
-)
+    [((Path, "write_text"), SUMMARY, set()), ((Signals, "write_csv"), SIGNALS, {SUMMARY}),
+     ((Figure, "savefig"), REPORT, {SUMMARY, SIGNALS})],
+)  # fmt: skip
 def test_a_full_disk_is_one_line_and_nothing_recorded_is_lost(
     writer, name, there, tmp_path, monkeypatch
 ):

@@ -97,16 +97,13 @@ def test_a_log_without_reports_of_the_plant_has_no_true_deviation():
 
 @pytest.mark.parametrize(
     ("codes", "settings", "verdict", "right", "wrong"),
-    [
-        ([0, 1, 1, 4], [], "TORQUE_LOST", True, False),
-        ([0, 1, 4, 4], [], "SENSOR_WRONG", False, True),
-        ([7, 7, 7, 9], [], "CANNOT_BE_TOLD", False, False),
-        ([7, 7, 7, 0], [], "NOTHING", False, False),
-        ([0, 8, 8, 0], [], "BOTH_LOST", False, True),
-        ([0, 3, 3, np.nan], ["fault.channel=force-difference"], "FORCE_LOST", True, False),
-        ([0, 2, 0, 0], ["fault.kind=none"], "TORQUE_OFFSET", None, True),
-    ],
-)
+    [([0, 1, 1, 4], [], "TORQUE_LOST", True, False),
+     ([0, 1, 4, 4], [], "SENSOR_WRONG", False, True),
+     ([7, 7, 7, 9], [], "CANNOT_BE_TOLD", False, False),
+     ([7, 7, 7, 0], [], "NOTHING", False, False), ([0, 8, 8, 0], [], "BOTH_LOST", False, True),
+     ([0, 3, 3, np.nan], ["fault.channel=force-difference"], "FORCE_LOST", True, False),
+     ([0, 2, 0, 0], ["fault.kind=none"], "TORQUE_OFFSET", None, True)],
+)  # fmt: skip
 def test_the_longest_verdict_is_right_or_wrong(codes, settings, verdict, right, wrong):
     scenario = load("ideal", ["duration_s=0.004", "fault.at_s=0", *settings])
     signals = replace(signals_without_log(scenario), verdict=np.array(codes, dtype=np.float64))

@@ -19,17 +19,12 @@ from tests.helpers import asked
 
 TEXTS = ["bus.log", "bus.plant.csv", "signals.csv"]
 CASES = {
-    "noise": [
-        "plant.sensor.corner_hz=80",
-        "design.alpha=3",
-        "design.alpha_q=4",
-        "fault.at_s=0.2",
-        "fault.for_s=0.3",
-    ],
+    "noise": ["plant.sensor.corner_hz=80", "design.alpha=3", "design.alpha_q=4", "fault.at_s=0.2",
+              "fault.for_s=0.3"],
     "frames": ["fault.kind=frames-missing", "fault.at_s=0.2", "design.feedback=false"],
     "drive": ["drive.ramps=[[0.0, 27.0], [0.7, 27.5]]", "design.speeds_mps=[27, 28]"],
     "class": ["plant.kind=tests.rig.plant.linear:LinearPlant", "fault.at_s=0.2"],
-}
+}  # fmt: skip
 
 
 def long_from(ticks: int, monkeypatch: pytest.MonkeyPatch) -> None:

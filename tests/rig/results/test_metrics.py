@@ -140,13 +140,8 @@ def test_peaks_belong_to_their_windows():
     scenario = load("thesis-step", settings)
     reference = np.zeros(scenario.ticks)
     for tick, error in (
-        (100, 9.0),
-        (990, 1.0),
-        (1000, -7.0),
-        (1499, 2.0),
-        (1500, 8.0),
-        (1990, 3.0),
-    ):
+        (100, 9.0), (990, 1.0), (1000, -7.0), (1499, 2.0), (1500, 8.0), (1990, 3.0),
+    ):  # fmt: skip
         reference[tick] = error
     values = metrics(scenario, quiet(scenario, reference_mps2=reference))
     assert values["error_before_fault_mps2"] == 1.0

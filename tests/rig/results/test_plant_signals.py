@@ -21,13 +21,9 @@ from tests.helpers import load, record
 
 SHORT = ("duration_s=0.3", "fault.at_s=0.15")
 REPORTED = [
-    "true_dstar_mps2",
-    "side_slip_rad",
-    "yaw_rate_rad_per_s",
-    "steering_angle_rad",
-    "applied_torque_nm",
-    "applied_force_difference_n",
-]
+    "true_dstar_mps2", "side_slip_rad", "yaw_rate_rad_per_s", "steering_angle_rad",
+    "applied_torque_nm", "applied_force_difference_n",
+]  # fmt: skip
 
 
 def signals_of(folder, *settings, name="ideal"):

@@ -109,12 +109,9 @@ def test_the_curves_differ_in_grey(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "frames"),
-    [
-        *(("thesis-step", frames) for frames in (0, 1, 503)),
-        ("chapter-2", 503),
-        ("no-compensation", 499),
-    ],
-)
+    [*(("thesis-step", frames) for frames in (0, 1, 503)), ("chapter-2", 503),
+     ("no-compensation", 499)],
+)  # fmt: skip
 def test_every_run_that_ends_early_is_reported(tmp_path, name, frames):
     log, _, scenario = record(tmp_path, *SHORT, "plant.sensor.noise_mps2=0.005", name=name)
     lines = log.read_text().splitlines(keepends=True)

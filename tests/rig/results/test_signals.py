@@ -42,15 +42,9 @@ SCENARIO = load(
 NETWORK = network_of(SCENARIO)
 TICK_S = SCENARIO.tick_s
 VALUES = (
-    "reference_mps2",
-    "dstar_mps2",
-    "torque_nm",
-    "force_difference_n",
-    "fault_estimate_mps2",
-    "mode",
-    "fault_state",
-    "verdict",
-)
+    "reference_mps2", "dstar_mps2", "torque_nm", "force_difference_n", "fault_estimate_mps2",
+    "mode", "fault_state", "verdict",
+)  # fmt: skip
 LOST = range(30, 40)
 HEADER = {"Checksum", "AliveCounter", "Tick", "Mode", "FaultState", "Verdict"}
 
@@ -213,16 +207,11 @@ COLUMN = [
 ]
 CHAPTER_2 = load("chapter-2").plant
 SAID = {
-    "reference_mps2": "reference_percent",
-    "dstar_mps2": "purity_percent",
-    "error_mps2": "error_percent",
-    "torque_nm": "reflux_mol_per_s",
-    "force_difference_n": "boil_up_nm",
-    "fault_estimate_mps2": "fault_estimate_percent",
-    "true_dstar_mps2": "true_purity_percent",
-    "applied_torque_nm": "applied_reflux_mol_per_s",
-    "torque_echo_nm": "reflux_echo_mol_per_s",
-    "force_difference_echo_n": "boil_up_echo_nm",
+    "reference_mps2": "reference_percent", "dstar_mps2": "purity_percent",
+    "error_mps2": "error_percent", "torque_nm": "reflux_mol_per_s",
+    "force_difference_n": "boil_up_nm", "fault_estimate_mps2": "fault_estimate_percent",
+    "true_dstar_mps2": "true_purity_percent", "applied_torque_nm": "applied_reflux_mol_per_s",
+    "torque_echo_nm": "reflux_echo_mol_per_s", "force_difference_echo_n": "boil_up_echo_nm",
     "applied_force_difference_n": "applied_boil_up_nm",
     "evidence_torque_lost": "evidence_reflux_lost",
     "evidence_torque_offset": "evidence_reflux_offset",
@@ -234,7 +223,7 @@ SAID = {
     "measured_yaw_rate_rad_per_s": "measured_output_2",
     "measured_lateral_acceleration_mps2": "measured_output_3",
     "measured_steering_angle_rad": "measured_output_4",
-}
+}  # fmt: skip
 
 
 def test_the_car_has_its_own():

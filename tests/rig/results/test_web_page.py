@@ -67,14 +67,9 @@ def test_the_numbers_are_those_of_the_run(ran):
 def test_the_page_says_what_happened_and_what_was_run(ran):
     scenario, signals, page = ran
     for text in (
-        "detection_delay_s",
-        "<td>detection delay</td>",
-        "<td>s</td>",
-        "fault.1.channel",
-        "default: 2 faults",
-        "gust of 50 N from 0.3 s to 0.5 s",
-        "plant.speed_mps",
-    ):
+        "detection_delay_s", "<td>detection delay</td>", "<td>s</td>", "fault.1.channel",
+        "default: 2 faults", "gust of 50 N from 0.3 s to 0.5 s", "plant.speed_mps",
+    ):  # fmt: skip
         assert text in page
     said = [(round(e.time_s, 6), e.text) for e in events(scenario, network_of(scenario), signals)]
     assert (0.2, "fault begins: D* lost") in said

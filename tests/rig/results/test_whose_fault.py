@@ -84,13 +84,9 @@ def test_with_both_lost_a_safe_stop_takes_the_commands_back():
 
 @pytest.mark.parametrize(
     "fault",
-    [
-        ["kind=sensor-biased", "bias_mps2=0.1"],
-        ["kind=sensor-biased", "bias_mps2=-0.1"],
-        ["kind=sensor-stuck"],
-        ["kind=sensor-dead"],
-    ],
-)
+    [["kind=sensor-biased", "bias_mps2=0.1"], ["kind=sensor-biased", "bias_mps2=-0.1"],
+     ["kind=sensor-stuck"], ["kind=sensor-dead"]],
+)  # fmt: skip
 def test_a_sensor_that_is_found_at_fault_is_not_compensated(fault):
     """The deviation is that of a run without compensation."""
     deviations = []
@@ -108,17 +104,10 @@ def test_a_sensor_that_is_found_at_fault_is_not_compensated(fault):
 
 @pytest.mark.parametrize(
     ("name", "changes"),
-    [
-        *(
-            ("thesis-step", ["tick_s=0.0001", f"plant.variant={v}"])
-            for v in ("physics", "published")
-        ),
-        ("thesis-step", []),
-        ("ideal", []),
-        ("default", ["design.compensation=always"]),
-        ("chassis-can", ["design.compensation=always", "design.tau_s=0.03"]),
-    ],
-)
+    [*(("thesis-step", ["tick_s=0.0001", f"plant.variant={v}"]) for v in ("physics", "published")),
+     ("thesis-step", []), ("ideal", []), ("default", ["design.compensation=always"]),
+     ("chassis-can", ["design.compensation=always", "design.tau_s=0.03"])],
+)  # fmt: skip
 @pytest.mark.parametrize("kind", ["step", "sine", "lane-change"])
 def test_no_verdict_takes_away_what_compensates_a_lost_torque(name, changes, kind):
     """D* is that of the same law with verdicts that are never sure of any place."""

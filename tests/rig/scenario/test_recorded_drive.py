@@ -46,17 +46,10 @@ def test_the_wltc_has_the_figures_of_the_regulation():
 
 @pytest.mark.parametrize(
     ("header", "factor"),
-    [
-        ("time_s,speed_mps", 1.0),
-        ("t,v [m/s]", 1.0),
-        ("Time (s),speed_m_s", 1.0),
-        ("time_s,speed_kmh", 1 / 3.6),
-        ("second,km/h", 1 / 3.6),
-        ("t,GPS speed (km/h)", 1 / 3.6),
-        ("t,Vehicle_Speed_kph", 1 / 3.6),
-        ("time_s,speed_mph", 1609.344 / 3600),
-    ],
-)
+    [("time_s,speed_mps", 1.0), ("t,v [m/s]", 1.0), ("Time (s),speed_m_s", 1.0),
+     ("time_s,speed_kmh", 1 / 3.6), ("second,km/h", 1 / 3.6), ("t,GPS speed (km/h)", 1 / 3.6),
+     ("t,Vehicle_Speed_kph", 1 / 3.6), ("time_s,speed_mph", 1609.344 / 3600)],
+)  # fmt: skip
 def test_the_header_says_the_unit(header, factor, tmp_path):
     profile = recorded(tmp_path, f"{header}\n0,36\n1,37.5\n")
     assert profile.speed_mps == pytest.approx([36 * factor, 37.5 * factor], rel=1e-15)
@@ -64,14 +57,11 @@ def test_the_header_says_the_unit(header, factor, tmp_path):
 
 @pytest.mark.parametrize(
     "rows",
-    [
-        ["0,10", "1.5,11", "3,12"],
-        ["1777888800,10", "1777888801.5,11", "1777888803,12"],
-        ["23:59:59,10", "00:00:00.5,11", "0:00:02,12"],
-        ["2026-05-04T10:00:00Z,10", "2026-05-04T10:00:01.500Z,11", "2026-05-04T12:00:03+02:00,12"],
-        ["2026-05-04 10:00:00,10", "2026-05-04 10:00:01.5,11", "2026-05-04 10:00:03,12"],
-    ],
-)
+    [["0,10", "1.5,11", "3,12"], ["1777888800,10", "1777888801.5,11", "1777888803,12"],
+     ["23:59:59,10", "00:00:00.5,11", "0:00:02,12"],
+     ["2026-05-04T10:00:00Z,10", "2026-05-04T10:00:01.500Z,11", "2026-05-04T12:00:03+02:00,12"],
+     ["2026-05-04 10:00:00,10", "2026-05-04 10:00:01.5,11", "2026-05-04 10:00:03,12"]],
+)  # fmt: skip
 def test_absolute_times_count_from_the_first_row(rows, tmp_path):
     for header in ("time,speed_mps", ""):
         profile = recorded(tmp_path, "\n".join([header, *rows]))

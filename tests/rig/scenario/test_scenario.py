@@ -271,15 +271,11 @@ def test_a_car_within_bounds_runs_or_is_refused_in_one_line_without_a_warning(ca
 
 @pytest.mark.parametrize(
     "make",
-    [
-        lambda: PlantSettings(speed_mps=1e6),
-        lambda: dataclasses.replace(PlantSettings(), mass_kg=-1.0),
-        lambda: DesignSettings(tau_s=0.0),
-        lambda: Scenario("x", latency_ticks=65),
-        lambda: dataclasses.replace(Scenario("x"), tick_s=2.0),
-        lambda: PlantSettings(weight_kg=1.0),
-    ],
-)
+    [lambda: PlantSettings(speed_mps=1e6),
+     lambda: dataclasses.replace(PlantSettings(), mass_kg=-1.0), lambda: DesignSettings(tau_s=0.0),
+     lambda: Scenario("x", latency_ticks=65),
+     lambda: dataclasses.replace(Scenario("x"), tick_s=2.0), lambda: PlantSettings(weight_kg=1.0)],
+)  # fmt: skip
 def test_a_bound_holds_wherever_settings_are_made(make):
     with pytest.raises(ValidationError):
         make()

@@ -33,20 +33,14 @@ def test_a_file_that_cannot_be_read():
 
 @pytest.mark.parametrize(
     ("text", "line"),
-    [
-        ('[plant]\nkind = "fmu:"\n', "plant.kind = 'fmu:': must be .*fmu:FILE.fmu"),
-        (
-            '[fault]\nkind = "sensor-biased"\nvalue = 0.5\n',
-            "fault.value = 0.5: has no effect for 'sensor-biased'; must be fault.bias_mps2",
-        ),
-        (
-            '[fault]\nkind = "sensor-biased"\nchannel = "yaw-rate"\nvalue = 0.5\n',
-            "fault.value = 0.5: has no effect for 'sensor-biased'; must be fault.offset",
-        ),
-        ('[[fault]]\nkind = "actuator-dead"\nvalue = 0.5\n', "must be fault.0.left"),
-        ('[reference]\nkind = "csv"\nfile = ""\n', "reference.file: must name the CSV file"),
-    ],
-)
+    [('[plant]\nkind = "fmu:"\n', "plant.kind = 'fmu:': must be .*fmu:FILE.fmu"),
+     ('[fault]\nkind = "sensor-biased"\nvalue = 0.5\n',
+      "fault.value = 0.5: has no effect for 'sensor-biased'; must be fault.bias_mps2"),
+     ('[fault]\nkind = "sensor-biased"\nchannel = "yaw-rate"\nvalue = 0.5\n',
+      "fault.value = 0.5: has no effect for 'sensor-biased'; must be fault.offset"),
+     ('[[fault]]\nkind = "actuator-dead"\nvalue = 0.5\n', "must be fault.0.left"),
+     ('[reference]\nkind = "csv"\nfile = ""\n', "reference.file: must name the CSV file")],
+)  # fmt: skip
 def test_a_file_without_a_name_is_not_the_scenarios_folder(tmp_path, text, line):
     (tmp_path / "x.toml").write_text(text)
     with pytest.raises(ScenarioError, match=line):

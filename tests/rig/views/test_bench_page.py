@@ -125,11 +125,8 @@ def test_a_drag_over_a_chart_shows_the_time_under_the_drag_in_every_chart(page, 
         return float(found)
 
     for ticks, step in (
-        ([35.9999, 36, 36.0001], 1e-4),
-        ([0, 2.5, 5], 2.5),
-        ([0, 2e4, 4e4], 2e4),
-        ([0, 1e-9], 1e-9),
-    ):
+        ([35.9999, 36, 36.0001], 1e-4), ([0, 2.5, 5], 2.5), ([0, 2e4, 4e4], 2e4), ([0, 1e-9], 1e-9),
+    ):  # fmt: skip
         said = page.evaluate("([v, step]) => numbers(null, v, null, null, step)", [ticks, step])
         assert [float(each.replace(",", "")) for each in said] == ticks
     begin_s, end_s = time_s(1, 0.2), time_s(1, 0.4)

@@ -112,14 +112,11 @@ def test_bad_words_are_one_line(runs):
         ((a, a, "--tolerance", "torque_nm=-1"), "0 or above"),
         ((a, a, "--tolerance", "torque_nm"), "SIGNAL=VALUE"),
         ((a, a, "--out", "x.gif"), "FILE.png, FILE.svg or FILE.pdf"),
-        ((a, runs), "has no signals.csv"),
-        ((a, "gone.log"), "there is no such file"),
-        ((a, "bad.csv"), "not a table of numbers"),
-        ((a, "ragged.csv"), "not a table of numbers"),
-        ((a, "back.csv"), "does not increase"),
-        ((a, "no-time.csv"), "has no column time_s"),
+        ((a, runs), "has no signals.csv"), ((a, "gone.log"), "there is no such file"),
+        ((a, "bad.csv"), "not a table of numbers"), ((a, "ragged.csv"), "not a table of numbers"),
+        ((a, "back.csv"), "does not increase"), ((a, "no-time.csv"), "has no column time_s"),
         ((a, "empty.csv"), "not a table of numbers"),
-    ):
+    ):  # fmt: skip
         if arguments[-1].__class__ is str and arguments[-1].endswith(".csv"):
             with pytest.raises(LogError, match=words):
                 read_table(Path(arguments[-1]), load("default"))
@@ -133,16 +130,11 @@ def test_bad_words_are_one_line(runs):
 def test_tolerances_and_units():
     assert tolerances_of(["a=0.5", "b=1e-3"]) == {"a": 0.5, "b": 1e-3}
     expected = {
-        "torque_nm": "N m",
-        "force_difference_n": "N",
-        "dstar_mps2": "m/s²",
-        "yaw_rate_rad_per_s": "rad/s",
-        "limits.force_difference_rate_n_per_s": "N/s",
-        "plant.steering_damping_nms_per_rad": "N m s/rad",
-        "sensor.drift_per_s": "",
-        "per_s": "",
+        "torque_nm": "N m", "force_difference_n": "N", "dstar_mps2": "m/s²",
+        "yaw_rate_rad_per_s": "rad/s", "limits.force_difference_rate_n_per_s": "N/s",
+        "plant.steering_damping_nms_per_rad": "N m s/rad", "sensor.drift_per_s": "", "per_s": "",
         "mode": "",
-    }
+    }  # fmt: skip
     assert {name: unit_of(name) for name in expected} == expected
 
 

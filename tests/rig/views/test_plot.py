@@ -67,11 +67,8 @@ def test_any_dbc_any_log(car):
 def test_one_panel_a_unit_words_on_the_axis_and_a_date(car):
     messages = decode_log(car, "car.dbc")
     pairs = [
-        ("ENGINE", "Speed"),
-        ("ENGINE", "State"),
-        ("WHEEL", "Speed"),
-        ("ENGINE", "Temperature"),
-    ]
+        ("ENGINE", "Speed"), ("ENGINE", "State"), ("WHEEL", "Speed"), ("ENGINE", "Temperature"),
+    ]  # fmt: skip
     page = plot_page(messages, pairs, START_S * 10**9)
     speeds, state, temperature = page.axes
     names = [[text.get_text() for text in axis.get_legend().get_texts()] for axis in page.axes]

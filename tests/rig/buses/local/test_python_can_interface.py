@@ -29,17 +29,12 @@ def test_fd_frames_need_an_fd_bus():
 
 @pytest.mark.parametrize(
     "wrong",
-    [
-        {"arbitration_id": 0x800, "is_extended_id": False},
-        {"arbitration_id": 1 << 29},
-        {"arbitration_id": -1},
-        {"data": bytes(9)},
-        {"data": bytes(65), "is_fd": True},
-        {"data": bytes(3), "dlc": 4, "is_extended_id": False},
-        {"is_fd": True, "is_remote_frame": True},
-    ],
+    [{"arbitration_id": 0x800, "is_extended_id": False}, {"arbitration_id": 1 << 29},
+     {"arbitration_id": -1}, {"data": bytes(9)}, {"data": bytes(65), "is_fd": True},
+     {"data": bytes(3), "dlc": 4, "is_extended_id": False},
+     {"is_fd": True, "is_remote_frame": True}],
     ids=str,
-)
+)  # fmt: skip
 def test_what_is_no_can_frame_is_refused(wrong):
     with buses({"fd": True}, {"fd": True}) as (sender, receiver):
         with pytest.raises(can.CanOperationError, match="not a CAN frame"):
