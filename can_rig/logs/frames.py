@@ -225,14 +225,17 @@ class Log:
 
     def _within(self, chunks: Iterator[Frames]) -> Iterator[Frames]:
         """The frames within the window; chunks without any are passed over."""
-        if self.window == ALL:
-            yield from chunks
-            return
-        for frames in chunks:
-            since_ns = frames.time_ns - self.start_ns
-            inside = (since_ns >= self.window.begin_ns) & (since_ns < self.window.end_ns)
-            if inside.any():
-                yield frames if inside.all() else frames[inside]
+        try:
+            if self.window == ALL:
+                yield from chunks
+                return
+            for frames in chunks:
+                since_ns = frames.time_ns - self.start_ns
+                inside = (since_ns >= self.window.begin_ns) & (since_ns < self.window.end_ns)
+                if inside.any():
+                    yield frames if inside.all() else frames[inside]
+        except OSError as error:
+            raise LogError(f"{self.path}: cannot be read: {error.strerror}") from None
 
 
 Writer = Callable[[Iterable[Frames], Path, int, Path], None]

@@ -446,7 +446,7 @@ def _blocks(log: Log) -> Iterator[bytes]:
     A truncated gzipped file yields its intact text, and a notice.
 
     Raises:
-        LogError: the file cannot be read or decompressed.
+        LogError: the file cannot be decompressed.
     """
     packed = _file_blocks(log)
     first = next(packed, b"")
@@ -456,16 +456,13 @@ def _blocks(log: Log) -> Iterator[bytes]:
 
 
 def _file_blocks(log: Log) -> Iterator[bytes]:
-    try:
-        with log.path.open("rb") as file:
-            size = log.path.stat().st_size
-            done = 0
-            while block := file.read(BLOCK_BYTES):
-                done += len(block)
-                yield block
-                log.fraction = min(done / size, 1.0) if size else 0.0  # a pipe has no size
-    except OSError as error:
-        raise LogError(f"{log.path}: cannot be read: {error.strerror}") from None
+    with log.path.open("rb") as file:
+        size = log.path.stat().st_size
+        done = 0
+        while block := file.read(BLOCK_BYTES):
+            done += len(block)
+            yield block
+            log.fraction = min(done / size, 1.0) if size else 0.0  # a pipe has no size
 
 
 def _decompressed(log: Log, packed: Iterator[bytes]) -> Iterator[bytes]:

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Final, Protocol, Self
+from typing import IO, Any, Final, Protocol, Self
 
 import can
 import numpy as np
@@ -53,10 +53,10 @@ class LogFile:
         RunFolderError: the file is there already, or cannot be opened or written.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, buffering: int = 0) -> None:
         self._path = path
         try:
-            self._file = path.open("wb" if is_stream(path) else "xb", buffering=0)
+            self._file: IO[bytes] = path.open("wb" if is_stream(path) else "xb", buffering)
         except OSError as error:
             raise RunFolderError(f"{path}: cannot be opened: {error.strerror}") from None
 
@@ -265,13 +265,9 @@ class PlantRecorder:
     """
 
     def __init__(self, log: Path) -> None:
-        self._path = plant_signals_path(log)
+        self._file = LogFile(plant_signals_path(log), BUFFER)
         self._names: tuple[str, ...] = ()
         self._rows: list[tuple[float, ...]] = []
-        try:
-            self._file = self._path.open("xb", BUFFER)
-        except OSError as error:
-            raise RunFolderError(f"{self._path}: cannot be opened: {error.strerror}") from None
 
     def record(self, tick: int, signals: Mapping[str, float]) -> None:
         """Note the signals of ``tick``, the same ones in each."""
@@ -295,7 +291,7 @@ class PlantRecorder:
 
     def _write_names(self, names: Iterable[str]) -> None:
         self._names = tuple(names)
-        self._write(",".join(("tick", *self._names)).encode() + b"\n")
+        self._file.write(",".join(("tick", *self._names)).encode() + b"\n")
 
     def _write_rows(self) -> None:
         """Rows of a tick and its signals, in as few digits as tell each value from all others."""
@@ -307,23 +303,16 @@ class PlantRecorder:
             text = b"\n".join(
                 ",".join(map(str, row)).encode() if b"null" in line else line for line, row in lines
             )
-        self._write(text + b"\n")
-
-    def _write(self, text: bytes) -> None:
-        try:
-            self._file.write(text)
-        except OSError as error:
-            raise RunFolderError(f"{self._path}: cannot be written: {error.strerror}") from None
+        self._file.write(text + b"\n")
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with suppress(OSError, RunFolderError):  # the log has said that a disk is full
+        with suppress(RunFolderError):  # the log has said that a disk is full
             if self._rows:
                 self._write_rows()
-        with suppress(OSError):
-            self._file.close()
+        self._file.close()
 
 
 class RealTimeRecorder:

@@ -1,6 +1,5 @@
 """The keys of the controller: the rig's own law, or a controller of one's own."""
 
-import dataclasses
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, PositiveFloat
@@ -68,10 +67,6 @@ class FilterSettings(TransferFunction):
         return self.sos is not None or super().__bool__()
 
 
-def _filter() -> Any:
-    return dataclasses.field(default_factory=FilterSettings)
-
-
 @dataclass(frozen=True, config=STRICT)
 class ControllerSettings:
     """The controller of a run; see ``controllers``.
@@ -82,21 +77,17 @@ class ControllerSettings:
     """
 
     kind: str = OURS
-    parameters: Annotated[dict[str, Any], AfterValidator(Table)] = dataclasses.field(
-        default_factory=Table
-    )
-    variables: Annotated[dict[str, str], AfterValidator(Table)] = dataclasses.field(
-        default_factory=Table
-    )
-    c: FilterSettings = _filter()
-    u1_r: FilterSettings = _filter()
-    u1_y: FilterSettings = _filter()
-    f1_u1: FilterSettings = _filter()
-    f1_u2: FilterSettings = _filter()
-    f2: FilterSettings = _filter()
-    f_hat: FilterSettings = _filter()
-    u2_r: FilterSettings = _filter()
-    u2_y: FilterSettings = _filter()
+    parameters: Annotated[dict[str, Any], AfterValidator(Table)] = Table()
+    variables: Annotated[dict[str, str], AfterValidator(Table)] = Table()
+    c: FilterSettings = FilterSettings()
+    u1_r: FilterSettings = FilterSettings()
+    u1_y: FilterSettings = FilterSettings()
+    f1_u1: FilterSettings = FilterSettings()
+    f1_u2: FilterSettings = FilterSettings()
+    f2: FilterSettings = FilterSettings()
+    f_hat: FilterSettings = FilterSettings()
+    u2_r: FilterSettings = FilterSettings()
+    u2_y: FilterSettings = FilterSettings()
 
     def __post_init__(self) -> None:
         if not (self.kind in (OURS, FILTERS, *PEERS) or self.is_file or self.is_class):

@@ -356,28 +356,22 @@ class PlantSettings(VehicleParameters):
     lateral_weight: Annotated[float, Field(ge=0.0, le=1.0)] = TABLE_3_2.lateral_weight
     kind: str = CAR
     variant: Literal["physics", "published"] = "physics"
-    g1: TransferFunction = dataclasses.field(default_factory=TransferFunction)
-    g2: TransferFunction = dataclasses.field(default_factory=TransferFunction)
+    g1: TransferFunction = TransferFunction()
+    g2: TransferFunction = TransferFunction()
     a: tuple[Row, ...] | None = None
     b: tuple[Row, ...] | None = None
     c: Row | None = None
-    gw: TransferFunction = dataclasses.field(default_factory=TransferFunction)
+    gw: TransferFunction = TransferFunction()
     e: Row | None = None
-    input_1: SignalSettings = dataclasses.field(default_factory=SignalSettings)
-    input_2: SignalSettings = dataclasses.field(default_factory=SignalSettings)
-    output: SignalSettings = dataclasses.field(default_factory=SignalSettings)
+    input_1: SignalSettings = SignalSettings()
+    input_2: SignalSettings = SignalSettings()
+    output: SignalSettings = SignalSettings()
     friction: Annotated[float, Field(gt=0.0, le=10.0)] = 0.9
-    torque_actuator: TorqueActuator = dataclasses.field(default_factory=TorqueActuator)
-    force_difference_actuator: ForceDifferenceActuator = dataclasses.field(
-        default_factory=ForceDifferenceActuator
-    )
-    sensor: SensorSettings = dataclasses.field(default_factory=SensorSettings)
-    parameters: Annotated[dict[str, Any], AfterValidator(Table)] = dataclasses.field(
-        default_factory=Table
-    )
-    variables: Annotated[dict[str, str], AfterValidator(Table)] = dataclasses.field(
-        default_factory=Table
-    )
+    torque_actuator: TorqueActuator = TorqueActuator()
+    force_difference_actuator: ForceDifferenceActuator = ForceDifferenceActuator()
+    sensor: SensorSettings = SensorSettings()
+    parameters: Annotated[dict[str, Any], AfterValidator(Table)] = Table()
+    variables: Annotated[dict[str, str], AfterValidator(Table)] = Table()
     fmi_type: Literal["co-simulation", "model-exchange"] | None = None
 
     def __post_init__(self) -> None:

@@ -87,13 +87,8 @@ def _keys(settings: Any, location: Sequence[str]) -> list[str]:
         if get_origin(settings) is dict:  # tables by free names
             settings = get_args(settings)[1]
             continue
-        field: Any = next(each for each in dataclasses.fields(settings) if each.name == part)
-        has_factory = field.default_factory is not dataclasses.MISSING
-        if isinstance(field.default_factory, type) and issubclass(field.default_factory, dict):
-            settings = get_type_hints(settings)[part]
-        elif has_factory:
-            settings = field.default_factory
-        else:  # a list of tables
-            settings = get_args(get_type_hints(settings)[part])[0]
+        settings = get_type_hints(settings)[part]
+        if get_origin(settings) is tuple:  # a list of tables
+            settings = get_args(settings)[0]
     names = [field.name for field in dataclasses.fields(settings)]
     return [name for name in names if not (at_top and name == "name")]

@@ -233,9 +233,9 @@ class NetworkSettings:
 
     dbc: str = ""
     tick: str = ""
-    ticks: TickNames = dataclasses.field(default_factory=TickNames)
-    signals: SignalNames = dataclasses.field(default_factory=SignalNames)
-    data_ids: DataIds = dataclasses.field(default_factory=DataIds)
+    ticks: TickNames = TickNames()
+    signals: SignalNames = SignalNames()
+    data_ids: DataIds = DataIds()
 
     def __post_init__(self) -> None:
         if self.signals and not self.dbc:
@@ -382,20 +382,20 @@ class Scenario:
     duration_s: Annotated[float, Field(gt=0.0, le=MAX_DURATION_S)] = 20.0
     latency_ticks: Annotated[int, Field(ge=0, le=MAX_LATENCY_TICKS)] = 0
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # as a table has it
-    plant: PlantSettings = dataclasses.field(default_factory=PlantSettings)
-    model: PlantSettings = dataclasses.field(default_factory=PlantSettings)
-    controller: ControllerSettings = dataclasses.field(default_factory=ControllerSettings)
-    design: DesignSettings = dataclasses.field(default_factory=DesignSettings)
-    budget: BudgetSettings = dataclasses.field(default_factory=BudgetSettings)
-    reference: ReferenceSettings = dataclasses.field(default_factory=ReferenceSettings)
-    drive: DriveSettings = dataclasses.field(default_factory=DriveSettings)
+    plant: PlantSettings = PlantSettings()
+    model: PlantSettings = PlantSettings()
+    controller: ControllerSettings = ControllerSettings()
+    design: DesignSettings = DesignSettings()
+    budget: BudgetSettings = BudgetSettings()
+    reference: ReferenceSettings = ReferenceSettings()
+    drive: DriveSettings = DriveSettings()
     fault: tuple[FaultSettings, ...] = (FaultSettings(),)
     disturbance: tuple[DisturbanceSettings, ...] = ()
     sensor: tuple[FurtherSensor, ...] = ()
-    limits: LimitSettings = dataclasses.field(default_factory=LimitSettings)
-    actuator: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
-    network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
-    bus: BusSettings = dataclasses.field(default_factory=BusSettings)
+    limits: LimitSettings = LimitSettings()
+    actuator: ActuatorSettings = ActuatorSettings()
+    network: NetworkSettings = NetworkSettings()
+    bus: BusSettings = BusSettings()
 
     def __post_init__(self) -> None:
         nanoseconds = self.tick_s * 1e9

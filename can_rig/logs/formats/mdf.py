@@ -767,8 +767,6 @@ def _read(log: Log) -> Iterator[Frames]:
                 log.fraction = done / max(total, done)
                 yield frames
             log.fraction = 1.0
-    except OSError as error:
-        raise LogError(f"{log.path}: cannot be read: {error.strerror}") from None
     except (MdfError, struct.error) as error:
         raise LogError(f"{log.path}: an MDF 4 file that is cut off or damaged: {error}") from None
     missing = sum(group.missing for group in groups)

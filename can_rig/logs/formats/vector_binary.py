@@ -213,11 +213,8 @@ def _read(log: Log) -> Iterator[Frames]:
     Raises:
         LogError: not a Vector binary log, or damaged.
     """
-    try:
-        with log.path.open("rb") as file:
-            yield from _Reader(log, file).read()
-    except OSError as error:
-        raise LogError(f"{log.path}: cannot be read: {error.strerror}") from None
+    with log.path.open("rb") as file:
+        yield from _Reader(log, file).read()
 
 
 class _Reader:
