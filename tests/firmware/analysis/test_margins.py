@@ -107,6 +107,9 @@ def test_noise_gain_is_the_impulse_response_summed():
     answers = (trace.command_1, trace.command_2, trace.fault_estimate)
     for answer, response in enumerate(answers):
         assert noise_gain(loop, answer) == pytest.approx(math.sqrt(response @ response), rel=1e-6)
+    figures = margins(table, CAR, 1e-3)
+    assert figures.noise_to_command_1 == noise_gain(loop, 0)
+    assert figures.noise_to_command_2 == noise_gain(loop, 1)
 
 
 def test_noise_reaches_an_open_integrator_and_only_that_is_infinite():

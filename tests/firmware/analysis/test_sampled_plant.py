@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy import integrate, signal
+from scipy import integrate
 
 from firmware_model.analysis.sampled_plant import advance_plant, measure_plant, sample
 from firmware_model.design.plants import chapter_2, steer_by_wire
@@ -29,14 +29,6 @@ def test_is_exact_for_held_commands(plant):  # type: ignore[no-untyped-def]
         ).y[:, -1]
         np.testing.assert_allclose(x, expected, rtol=1e-8, atol=1e-10)
         assert measure_plant(sampled.c, x) == pytest.approx((plant.c @ expected).item(), rel=1e-7)
-
-
-def test_equals_scipys_zoh():
-    plant = steer_by_wire()
-    phi, gamma, *_ = signal.cont2discrete((plant.a, plant.b, plant.c, np.zeros((1, 2))), 1e-3)
-    sampled = sample(plant, 1e-3)
-    np.testing.assert_allclose(sampled.phi, phi, rtol=1e-12, atol=1e-16)
-    np.testing.assert_allclose(sampled.gamma, gamma, rtol=1e-12, atol=1e-16)
 
 
 @pytest.mark.parametrize("tick_s", [0.0, -1.0, math.inf, math.nan])

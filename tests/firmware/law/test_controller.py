@@ -110,18 +110,6 @@ def test_estimate_equals_the_lost_channel_after_the_fault(variant):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("latency", [1, 2, 4])
-def test_published_tuning_survives_a_latency_that_it_knows(latency):
-    """C works on what the delayed model does not explain: healthy and after the loss."""
-    left = np.ones((9000, 2))
-    left[3000:, 0] = 0.0
-    matched = build(DESIGN, Target(1e-3, latency, "zoh"))
-    trace = simulate(matched, sample(CAR, 1e-3), np.ones(9000), effectiveness=left)
-    assert np.abs(trace.error[2500:3000]).max() < 1e-9
-    assert np.abs(trace.error[-500:]).max() < 1e-6
-
-
-@pytest.mark.compiled
 @pytest.mark.parametrize(("design_of", "tick_s"), [(DESIGN, 5e-4), (OPEN_LOOP, 5e-3)])
 def test_smooth_input_converges_with_order_two(design_of, tick_s):  # type: ignore[no-untyped-def]
     """Firmware fed smooth r(t), y(t) against the continuous law fed the same, by lsim.

@@ -64,7 +64,7 @@ def test_what_changes_the_law_is_noticed_and_what_does_not_is_not_counted(tmp_pa
         (planted("biquad.c", step, "*", "is no C", files), None),
         (planted("echoes.c", "quarter", "0.25", "0.75", files), (True, False)),
     ]  # fmt: skip
-    monkeypatch.setattr(of_c, "LONGEST_S", 2.0)
+    monkeypatch.setattr(of_c, "LONGEST_S", 1.0)
     for number, (mutant, expected) in enumerate(cases):
         assert bench.killers(tmp_path / f"case{number}", mutant) == expected, mutant
 

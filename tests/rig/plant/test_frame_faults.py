@@ -5,7 +5,6 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.frames.codec import Receiver, Transmitter
@@ -26,16 +25,6 @@ def faults(*settings):
     return FrameFaults(load("thesis-step", list(settings)), NETWORK)
 
 
-def crc8(data, data_id):
-    """E2E profile 1, bit by bit."""
-    crc = 0
-    for byte in (data_id & 0xFF, data_id >> 8, *data[1:]):
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc << 1) ^ (0x11D if crc & 0x80 else 0)
-    return crc
-
-
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("kind", ["frames-missing", "frames-corrupted", "none", "sensor-biased"])
 def test_frames_are_lost_in_their_place_and_in_their_window_alone(kind, place):
@@ -54,17 +43,6 @@ def test_frames_are_lost_in_their_place_and_in_their_window_alone(kind, place):
                 changed = sum(a != b for a, b in zip(before, one.data, strict=True))
                 assert changed == (1 if hit else 0)
                 assert (one.arbitration_id, one.dlc) == (CODECS[index].frame_id, 8)
-
-
-@given(st.floats(-1e6, 1e6), st.integers(0, 2**16), st.sampled_from(COMMANDS))
-def test_a_crc_8_finds_every_change_of_one_byte(value, tick, codec):
-    good = Transmitter(codec).frame(value, tick).data
-    assert good[0] == crc8(good, codec.data_id)
-    for at in range(8):
-        for flip in range(1, 256):
-            damaged = bytearray(good)
-            damaged[at] ^= flip
-            assert damaged[0] != crc8(damaged, codec.data_id)
 
 
 def corrupted(seed, *settings, count=400):
