@@ -14,6 +14,7 @@ from firmware_model.law.core import biquad
 from firmware_model.law.layout import State, Table, precision_of
 from firmware_model.law.structs import Records, copied, fields_of, values, zeroed
 from firmware_model.law.supervision import further_sensors, verdict
+from firmware_model.law.supervision.echoes import FORCE, TORQUE
 from firmware_model.law.supervision.knowledge import Saved, saved_in
 from firmware_model.law.supervision.lost_commands import act_first
 from firmware_model.law.supervision.takeover import AT_REST, UNKNOWN
@@ -223,7 +224,7 @@ class Firmware:
     def echo_errors(self) -> tuple[float, float]:
         """Modelled less reported output of both actuators; 0 without an echo; see ``echoes``."""
         heard = self._states[0].echoes
-        return float(heard.channel_1.error), float(heard.channel_2.error)
+        return float(heard.actuators[TORQUE].error), float(heard.actuators[FORCE].error)
 
     @property
     def commands(self) -> tuple[float, float]:

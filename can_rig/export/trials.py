@@ -42,7 +42,7 @@ from firmware_model.law.structs import (
     zeroed,
 )
 from firmware_model.law.supervision.covariance import LOSS_STATES
-from firmware_model.law.supervision.echoes import KEPT_TICKS, missing_command
+from firmware_model.law.supervision.echoes import FORCE, KEPT_TICKS, TORQUE, missing_command
 from firmware_model.law.supervision.signatures import (
     FORCE_ECHO_ROW,
     FORCE_ROW,
@@ -67,8 +67,8 @@ INDICES = (
 SUMS = {
     "witness": ("age", "power", "apart", "inner", "sensor_off", "sensor_healthy_off", "witness_off",
                 "healthy_off"),
-    "echoes.channel_1": ("missing", "off", "power", "stray", "swing"),
-    "echoes.channel_2": ("missing", "off", "power", "stray", "swing"),
+    "echoes.actuators.0": ("missing", "off", "power", "stray", "swing"),
+    "echoes.actuators.1": ("missing", "off", "power", "stray", "swing"),
     "hypotheses.signatures": ("commanded", "missing", "before", "jump"),
     **{f"hypotheses.signatures.rows.{row}.candidate":
        ("evidence", "correlation", "information", "age")
@@ -259,9 +259,9 @@ def random_table(
     cars.n = random.integers(0, 5)
     table.hypotheses.signatures.n = random.choice([TORQUE_ECHO_ROW, ROWS])
     for row, kind in zip(table.hypotheses.signatures.rows, HYPOTHESES, strict=True):
-        row.fault, row.through, row.input = kind
-        if random.random() < 0.1:
-            row.fault, row.through, row.input = random.integers((1, 0, 0), (8, 3, 5))
+        any_kind = random.integers((1, 0, 0, 0), (8, 3, 4, 2))
+        of = any_kind if random.random() < 0.1 else kind
+        row.fault, row.through, row.input, row.echo = of
     table.mismatch.whitener.n = random.integers(0, WHITENER_SECTIONS + 1)
     table.mismatch.n = 0 if random.random() < 0.1 else cars.n + 3
     table.reference_shaper.enabled = random.integers(0, 2)
@@ -273,9 +273,8 @@ def random_table(
     takeover.listening, takeover.returning, takeover.lasting = np.sort(random.integers(1, 30, 3))
     echoes = table.echoes
     echoes.longest, echoes.working = random.choice([0, 1, 5, 100]), random.integers(0, 5)
-    for actuator, dead_ticks in (
-        (echoes.actuator_1, estimator.dead_ticks_1), (echoes.actuator_2, estimator.dead_ticks_2)
-    ):  # fmt: skip
+    dead_ticks_of_each = estimator.dead_ticks_1, estimator.dead_ticks_2
+    for actuator, dead_ticks in zip(echoes.actuators, dead_ticks_of_each, strict=True):
         actuator.stage.n = 1
         actuator.dead_ticks = random.integers(0, dead_ticks + 1)
     witness = table.witness
@@ -317,7 +316,7 @@ def make_plausible(random: np.random.Generator, table: Any, even: bool) -> None:
             *(row.limits for row in hypotheses.signatures.rows),
         ):  # fmt: skip
             size.least, size.most = np.sort(random.standard_normal(2))
-        for actuator in (echoes.actuator_1, echoes.actuator_2):
+        for actuator in echoes.actuators:
             actuator.least, actuator.lead = random.exponential(0.1), random.standard_normal()
 
 
@@ -358,7 +357,7 @@ def random_state(
     for of in (state.standby, state.prediction):
         of.elapsed = random.choice([0.0, 1.0, 60.0, of.elapsed], p=[0.85, 0.05, 0.05, 0.05])
     state.echoes.index = random.integers(0, KEPT_TICKS)
-    for echo in (state.echoes.channel_1, state.echoes.channel_2):
+    for echo in state.echoes.actuators:
         echo.left, echo.believed, echo.good = reported(random)
         if random.random() < 0.2:  # of a motor that has lost a share
             share = random.uniform(0.0, 3.0)
@@ -392,10 +391,10 @@ def fill_witness(random: np.random.Generator, table: Any, state: Any) -> None:
     witness.left, witness.denied, witness.good = reported(random)
     if random.random() < 0.4:  # agrees with itself and with the sensor, not with the model
         witness.apart, witness.inner = 1e-2 * witness.apart, 1e-4 * witness.inner
-        state.echoes.channel_1.missing *= 0.1
-        state.echoes.channel_2.off *= 0.01
+        state.echoes.actuators[TORQUE].missing *= 0.1
+        state.echoes.actuators[FORCE].off *= 0.01
     if random.random() < 0.4:  # about as far off as the lost torque that its echo reports
-        actuator, echo = table.echoes.actuator_1, state.echoes.channel_1
+        actuator, echo = table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]
         answer, missing = (
             state.hypotheses.signatures.rows[TORQUE_ECHO_ROW].answer,
             missing_command(actuator, echo),

@@ -32,13 +32,12 @@ from firmware_model.law.status import Verdict
 from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, ranges_of, zeroed
 from firmware_model.law.supervision import whitener
 from firmware_model.law.supervision.covariance import LOSS_STATES, MAX_DIRECTIONS
-from firmware_model.law.supervision.echoes import Constants as EchoesConstants
+from firmware_model.law.supervision.echoes import FORCE, TORQUE, Constants as EchoesConstants
 from firmware_model.law.supervision.frozen import Constants as FrozenConstants
 from firmware_model.law.supervision.signatures import (
     COMMAND_2,
     MINUS_ONE,
-    MISSING_1,
-    MISSING_2,
+    MISSING,
     RAMP,
     THROUGH_G1,
     THROUGH_G2,
@@ -55,14 +54,14 @@ LEAST_CHANCE = 1e-6  # chance of a repeated number: no sensor is finer
 
 
 HYPOTHESES = (
-    (Verdict.TORQUE_OFFSET, THROUGH_G1, MINUS_ONE),
-    (Verdict.FORCE_LOST, THROUGH_G2, COMMAND_2),
-    (Verdict.SENSOR_WRONG, THROUGH_M, MINUS_ONE),
-    (Verdict.SENSOR_DRIFTING, THROUGH_M, RAMP),
-    (Verdict.TORQUE_OFFSET, THROUGH_G1, MISSING_1),
-    (Verdict.FORCE_LOST, THROUGH_G2, MISSING_2),
+    (Verdict.TORQUE_OFFSET, THROUGH_G1, MINUS_ONE, 0),
+    (Verdict.FORCE_LOST, THROUGH_G2, COMMAND_2, 0),
+    (Verdict.SENSOR_WRONG, THROUGH_M, MINUS_ONE, 0),
+    (Verdict.SENSOR_DRIFTING, THROUGH_M, RAMP, 0),
+    (Verdict.TORQUE_OFFSET, THROUGH_G1, MISSING, TORQUE),
+    (Verdict.FORCE_LOST, THROUGH_G2, MISSING, FORCE),
 )
-"""The rows of the table: fault, what answers, input for a fault of size 1."""
+"""The rows of the table: fault, what answers, input for a fault of size 1, whose echo."""
 
 
 def fill_hypotheses(table: Table, target: Target) -> None:
@@ -79,7 +78,7 @@ def fill_hypotheses(table: Table, target: Target) -> None:
     sizes = ((-target.limit_1, target.limit_1), share, any_size, any_size, share, share)
     signatures.n = len(HYPOTHESES) if target.echoes is not None else TORQUE_ECHO_ROW
     for row, kind, size in zip(signatures.rows, HYPOTHESES, sizes, strict=True):
-        row.fault, row.through, row.input = kind
+        row.fault, row.through, row.input, row.echo = kind
         row.limits.least, row.limits.most = size
     for limits, least, most in (
         (constants.torque_lost, -MOST_SHARE, MOST_SHARE),
@@ -113,7 +112,7 @@ def fill_echoes(
     echoes.longest = max(math.ceil(ECHO_S / tick_s), LEAST_ECHO_TICKS)
     echoes.working = WORKING_ECHOES
     echoes.hand_over = 1.0 - math.exp(-tick_s / HAND_OVER_S)
-    for own, reporting in ((echoes.actuator_1, actuators[0]), (echoes.actuator_2, actuators[1])):
+    for own, reporting in zip(echoes.actuators, actuators, strict=True):
         own.least = (CLEAR_OF_NOISE * reporting.noise_rms) ** 2
         actuator = reporting.actuator
         lag = actuator.transfer_function

@@ -59,7 +59,7 @@ from firmware_model.law.supervision.decision import (
     show_acting_commands,
     withdraw_loss,
 )
-from firmware_model.law.supervision.echoes import advance_echoes, says_lost, settle_echoes
+from firmware_model.law.supervision.echoes import TORQUE, advance_echoes, says_lost, settle_echoes
 from firmware_model.law.supervision.knowledge import (
     known_offset,
     knows_loss,
@@ -298,7 +298,7 @@ def witness(table: Table, state: State, y: float, model_output: float) -> None:
     if own.denied > before:
         set_aside(table, state)
         turn_to_witness(state.prediction, own.difference)
-    told = says_lost(table.echoes.actuator_1, state.echoes.channel_1)
+    told = says_lost(table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE])
     if state.fault_state == CONFIRMED and refutes(table.witness, own) and not told:
         state.prediction.difference -= missing_now(table, state)
         withdraw_loss(table, state)

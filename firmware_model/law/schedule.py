@@ -27,6 +27,7 @@ from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Records, Struct
 from firmware_model.law.supervision.covariance import MAX_DIRECTIONS
+from firmware_model.law.supervision.echoes import FORCE, TORQUE
 from firmware_model.law.supervision.overflow import is_damaged
 from firmware_model.law.supervision.signatures import THROUGH_G1, THROUGH_G2
 
@@ -46,6 +47,7 @@ GAIN = (MAX_SPEEDS, MAX_SECTIONS * 2)
 EACH = (MAX_SPEEDS,)
 BAND = 0.95  # a car at the lowest speed does not alternate between standby and run
 OF_G1, OF_G2 = THROUGH_G1, THROUGH_G2
+OF_TORQUE, OF_FORCE = TORQUE, FORCE
 
 
 class Models(Struct):
@@ -181,8 +183,8 @@ def turn_models(
     turn(schedule.model.turn_1, own, state.loss_model.earlier, at, way)
     turn(schedule.model.turn_1, own, state.loss_model.fading, at, way)
     if table.echoes.longest > 0:
-        turn(schedule.model.turn_1, own, state.echoes.channel_1.known, at, way)
-        turn(schedule.model.turn_2, own, state.echoes.channel_2.known, at, way)
+        turn(schedule.model.turn_1, own, state.echoes.actuators[OF_TORQUE].known, at, way)
+        turn(schedule.model.turn_2, own, state.echoes.actuators[OF_FORCE].known, at, way)
     rows = table.hypotheses.signatures.n
     for i in range(rows):
         row, one = table.hypotheses.signatures.rows[i], state.hypotheses.signatures.rows[i]

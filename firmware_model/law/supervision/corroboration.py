@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.structs import Struct
-from firmware_model.law.supervision.echoes import confesses, says_lost
+from firmware_model.law.supervision.echoes import FORCE, TORQUE, confesses, says_lost
 from firmware_model.law.supervision.witness import acquits, agrees_with_sensor, contradicts
 
 if TYPE_CHECKING:
@@ -59,10 +59,11 @@ def torque_waits(
     in a gust, or the witness does not show the loss yet, or the echo of actuator 2 shows a fault
     there. ``test_age``: ticks since the onset of the candidate.
     """
-    echo = heard.channel_1
-    denied = echo.left > 0 and echo.believed == 0 and not says_lost(table.echoes.actuator_1, echo)
+    torque, force = table.echoes.actuators[TORQUE], table.echoes.actuators[FORCE]
+    echo = heard.actuators[TORQUE]
+    denied = echo.left > 0 and echo.believed == 0 and not says_lost(torque, echo)
     told = seen.age < test_age and acquits(table.witness, seen)
-    elsewhere = confesses(table.echoes.actuator_2, heard.channel_2)
+    elsewhere = confesses(force, heard.actuators[FORCE])
     gentle = abs(own.sudden) < table.corroboration.gust
     waits: bool = denied and (elsewhere or gentle or (seen.left > 0 and not told))
     return waits or contradicts(table.witness, seen)

@@ -34,6 +34,7 @@ from firmware_model.law.supervision import echoes, likelihood_ratio, loss_model,
 from firmware_model.law.supervision.bumpless_transfer import begin_transfer
 from firmware_model.law.supervision.corroboration import follow_residual, torque_waits
 from firmware_model.law.supervision.echoes import (
+    TORQUE,
     Echo,
     contradicts_share,
     known_output,
@@ -73,7 +74,6 @@ from firmware_model.law.supervision.signatures import (
 )
 from firmware_model.law.supervision.verdict import (
     TORQUE_LOST,
-    TORQUE_OFFSET,
     clear_hypotheses,
     find_by_echo,
     found_elsewhere,
@@ -147,16 +147,16 @@ def decide(
         table, own, known, heard, torque_evidence(table, known, test, before == CONFIRMED, share)
     )
     waits = torque_waits(table, state.corroboration, heard, seen, test.age)
-    believed = heard.channel_1.believed
+    believed = heard.actuators[TORQUE].believed
     judge(table, own, known, heard, seen, waits, before == CONFIRMED, test.evidence)
-    if heard.channel_1.believed != believed:
+    if heard.actuators[TORQUE].believed != believed:
         transfer_to_losses(table, state)
     if found_elsewhere(own):
         state.fault_state = CLEAR
         restart_test(table, state)
     elif before == CONFIRMED:
         share = known_share(loss, known)
-        if contradicts_share(table.echoes.actuator_1, heard.channel_1, share):
+        if contradicts_share(table.echoes.actuators[TORQUE], heard.actuators[TORQUE], share):
             hand_over_to_echo(table, state)
         elif test.evidence > table.decision.recover:
             recover(table, state)
@@ -168,7 +168,7 @@ def decide(
 def look_for_loss(table: Table, state: layout.State, before: int, model_1: float) -> None:
     """The fault state of a tick in which no loss is known; ``before``: of the tick before."""
     constants, test, seen = table.decision, state.sequential_test, state.witness
-    needed, heard = needed_evidence(table, test, state.echoes.channel_1), state.echoes
+    needed, heard = needed_evidence(table, test, state.echoes.actuators[TORQUE]), state.echoes
     if is_acquitted(table, state.hypotheses):
         state.fault_state = CANNOT_TELL
     elif test.evidence > needed and not torque_waits(
@@ -203,7 +203,7 @@ def needed_evidence(table: Table, test: likelihood_ratio.State, echo: Echo) -> f
     needed: float = constants.confirm
     if echo.believed == 1:  # the missing output is known already
         needed = constants.recover
-    elif test.of_takeover == 1 or says_lost(table.echoes.actuator_1, echo):
+    elif test.of_takeover == 1 or says_lost(table.echoes.actuators[TORQUE], echo):
         needed = constants.suspect
     return needed
 
@@ -232,7 +232,7 @@ def restart_test(table: Table, state: layout.State) -> None:
 @firmware
 def confirm_or_believe(table: Table, state: layout.State) -> None:
     """Confirm the lost share of channel 1, or believe the echo that contradicts the share."""
-    told, echo = table.echoes.actuator_1, state.echoes.channel_1
+    told, echo = table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]
     share = lost_share(table.sequential_test, state.sequential_test)
     contradicted = contradicts_share(told, echo, possible_share(share))
     if contradicted:
@@ -262,9 +262,7 @@ def hand_over_to_echo(table: Table, state: layout.State) -> None:
 @firmware
 def believe_torque_echo(table: Table, state: layout.State) -> None:
     """Believe the echo of actuator 1 from the onset of its signature on."""
-    own, heard = state.hypotheses, state.echoes
-    row = own.signatures.rows[TORQUE_ECHO_ROW]
-    find_by_echo(table, own, state.mismatch, heard, row, heard.channel_1, TORQUE_OFFSET)
+    find_by_echo(table, state.hypotheses, state.mismatch, state.echoes, TORQUE_ECHO_ROW)
 
 
 @firmware
@@ -325,7 +323,7 @@ def transfer_to_losses(table: Table, state: layout.State) -> None:
     """Begin a bumpless transfer of F̂ to the known loss."""
     loss, heard = state.loss_model, state.echoes
     lost = loss.previous_fading + loss.followed * loss.previous_output
-    lost += heard.channel_1.previous - heard.handed
+    lost += heard.actuators[TORQUE].previous - heard.handed
     speed = missing_by_loss(table, state) - lost
     begin_transfer(table.bumpless_transfer, state.bumpless_transfer, lost, speed)
 
@@ -344,6 +342,6 @@ def compensated_output(
     """The input of F̂: the known missing output, of this tick's lost ``command``."""
     lost: float = fading_output(table, loss) + loss.followed * loss_output(table, loss, command)
     if table.echoes.longest > 0:
-        g1, echo = table.estimator.channel_1, heard.channel_1
-        lost += known_output(table.echoes.actuator_1, g1, echo) - heard.handed
+        g1, echo = table.estimator.channel_1, heard.actuators[TORQUE]
+        lost += known_output(table.echoes.actuators[TORQUE], g1, echo) - heard.handed
     return lost

@@ -34,6 +34,7 @@ from firmware_model.law.structs import (
     MAX_LATENCY_TICKS,
     MAX_SECTIONS,
     FloatArray,
+    Records,
     Struct,
 )
 from firmware_model.law.supervision import candidate, whitener
@@ -46,6 +47,8 @@ if TYPE_CHECKING:
 
 
 KEPT_TICKS = 64
+ACTUATORS = 2
+TORQUE, FORCE = 0, 1
 
 
 class Actuator(Struct):
@@ -60,8 +63,7 @@ class Actuator(Struct):
 class Constants(Struct):
     """Constants."""
 
-    actuator_1: Annotated[Actuator, "1", "actuator 1"]
-    actuator_2: Annotated[Actuator, "1", "actuator 2"]
+    actuators: Annotated[Records[Actuator], "1", "both actuators", (ACTUATORS,)]
     wrong: Annotated[candidate.Limits, "1", "limits of the share of e in d̂ where e is believed"]
     longest: Annotated[
         int, "tick", "largest age of an echo that counts; 0: no actuator reports", (0, MAX_COUNTED)
@@ -95,8 +97,7 @@ class Echo(Struct):
 class State(Struct):
     """State."""
 
-    channel_1: Annotated[Echo, "1", "of actuator 1"]
-    channel_2: Annotated[Echo, "1", "of actuator 2"]
+    actuators: Annotated[Records[Echo], "1", "of both actuators", (ACTUATORS,)]
     index: Annotated[int, "1", "index of the newest output in the rings"]
     between: Annotated[float, "y", "what C has taken over, behind the first lag"]
     handed: Annotated[float, "y", "the same behind the second lag"]
@@ -142,24 +143,26 @@ def advance_echoes(
     if plant.latency_ticks > 0:
         u1 = model.delay_1[model.delay_index]
         u2 = model.delay_2[model.delay_index]
-    if constants.actuator_1.dead_ticks > 0:
+    torque, force = constants.actuators[TORQUE], constants.actuators[FORCE]
+    if torque.dead_ticks > 0:
         dead = max(plant.dead_ticks_1, 1)
-        u1 = model.dead_1[(model.dead_index_1 + dead - constants.actuator_1.dead_ticks) % dead]
-    if constants.actuator_2.dead_ticks > 0:
+        u1 = model.dead_1[(model.dead_index_1 + dead - torque.dead_ticks) % dead]
+    if force.dead_ticks > 0:
         dead = max(plant.dead_ticks_2, 1)
-        u2 = model.dead_2[(model.dead_index_2 + dead - constants.actuator_2.dead_ticks) % dead]
+        u2 = model.dead_2[(model.dead_index_2 + dead - force.dead_ticks) % dead]
     own.index = (own.index + 1) % KEPT_TICKS
-    advance_echo(constants.actuator_1, plant.channel_1, own.channel_1, u1, own.index)
-    advance_echo(constants.actuator_2, plant.channel_2, own.channel_2, u2, own.index)
+    echo = own.actuators[TORQUE]
+    advance_echo(torque, plant.channel_1, echo, u1, own.index)
+    advance_echo(force, plant.channel_2, own.actuators[FORCE], u2, own.index)
     taken = real(0.0, u1)
-    if obeys(constants.actuator_1, own.channel_1) and abs(u1) < table.actuator_1.limit:
-        taken = own.channel_1.previous
+    if obeys(torque, echo) and abs(u1) < table.actuator_1.limit:
+        taken = echo.previous
     own.between += constants.hand_over * (taken - own.between)
     own.handed += constants.hand_over * (own.between - own.handed)
     told = real(0.0, u1)
-    alone = own.channel_1.believed == 0 and not lost  # F̂ is at rest
-    if alone and obeys(constants.actuator_1, own.channel_1):
-        told = own.channel_1.told
+    alone = echo.believed == 0 and not lost  # F̂ is at rest
+    if alone and obeys(torque, echo):
+        told = echo.told
     own.told_between += constants.hand_over * (told - own.told_between)
     own.told_handed += constants.hand_over * (own.told_between - own.told_handed)
 
@@ -287,8 +290,8 @@ def works(own: Echo, working: int) -> bool:
 @firmware
 def settle_echoes(constants: Constants, own: State, command_1: float, command_2: float) -> None:
     """The actuators have followed the present commands for long; no echo has come."""
-    settle_echo(constants.actuator_1, own.channel_1, command_1)
-    settle_echo(constants.actuator_2, own.channel_2, command_2)
+    settle_echo(constants.actuators[TORQUE], own.actuators[TORQUE], command_1)
+    settle_echo(constants.actuators[FORCE], own.actuators[FORCE], command_2)
     own.between = own.handed = own.told_between = own.told_handed = 0.0
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from firmware_model.compiled import firmware
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Records
-from firmware_model.law.supervision.echoes import KEPT_TICKS, take_echo
+from firmware_model.law.supervision.echoes import FORCE, KEPT_TICKS, TORQUE, take_echo
 from firmware_model.law.supervision.overflow import is_damaged
 from firmware_model.law.supervision.witness import take_sample
 
@@ -34,9 +34,9 @@ def hear(table: Table, state: layout.State, sensor: float, value: float, age_tic
     if is_damaged(state.estimator, state.echoes, state.witness, state.mismatch):
         return
     if sensor == 1.0:
-        take_echo(table.echoes, state.echoes, state.echoes.channel_1, sample, age)
+        take_echo(table.echoes, state.echoes, state.echoes.actuators[TORQUE], sample, age)
     elif sensor == 2.0:
-        take_echo(table.echoes, state.echoes, state.echoes.channel_2, sample, age)
+        take_echo(table.echoes, state.echoes, state.echoes.actuators[FORCE], sample, age)
     elif sensor == 3.0:
         take_sample(table, state.witness.yaw_rate, sample, age)
     elif sensor == 4.0:

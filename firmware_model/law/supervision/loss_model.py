@@ -18,7 +18,7 @@ from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
-from firmware_model.law.supervision.echoes import known_output
+from firmware_model.law.supervision.echoes import FORCE, TORQUE, known_output
 from firmware_model.law.supervision.whitener import add_signal
 
 if TYPE_CHECKING:
@@ -100,8 +100,8 @@ def earlier_missing(table: Table, own: State, model: estimator.State, heard: ech
         missing = fading_output(table, own)
     if table.echoes.longest > 0:
         g1, g2 = table.estimator.channel_1, table.estimator.channel_2
-        missing += known_output(table.echoes.actuator_1, g1, heard.channel_1)
-        missing += known_output(table.echoes.actuator_2, g2, heard.channel_2)
+        missing += known_output(table.echoes.actuators[TORQUE], g1, heard.actuators[TORQUE])
+        missing += known_output(table.echoes.actuators[FORCE], g2, heard.actuators[FORCE])
     return missing
 
 

@@ -24,7 +24,7 @@ from firmware_model.law.status import Verdict
 from firmware_model.law.structs import Records, Struct
 from firmware_model.law.supervision import candidate, echoes, mismatch
 from firmware_model.law.supervision.candidate import count_anew, has_failed, start, take_in
-from firmware_model.law.supervision.echoes import confesses, missing_command
+from firmware_model.law.supervision.echoes import ACTUATORS, confesses, missing_command
 
 if TYPE_CHECKING:
     from firmware_model.law.layout import Table
@@ -34,7 +34,7 @@ FORCE_LOST, ANOTHER_CAR = int(Verdict.FORCE_LOST), int(Verdict.ANOTHER_CAR)
 OFFSET_ROW, FORCE_ROW, BIAS_ROW, DRIFT_ROW, TORQUE_ECHO_ROW, FORCE_ECHO_ROW = 0, 1, 2, 3, 4, 5
 ROWS = 6
 THROUGH_G1, THROUGH_G2, THROUGH_M = 0, 1, 2
-MINUS_ONE, RAMP, COMMAND_2, MISSING_1, MISSING_2 = 0, 1, 2, 3, 4
+MINUS_ONE, RAMP, COMMAND_2, MISSING = 0, 1, 2, 3
 """Inputs of a row: as of this tick, ticks since the onset, command 2, what an echo misses."""
 
 
@@ -43,9 +43,8 @@ class Row(Struct):
 
     fault: Annotated[int, "1", "its Verdict", (1, ANOTHER_CAR)]
     through: Annotated[int, "1", "what answers to its input: 0: G1, 1: G2, 2: M", (0, 2)]
-    input: Annotated[
-        int, "1", "0: -1, 1: a ramp, 2: command 2, 3 and 4: the missing command 1 or 2", (0, 4)
-    ]
+    input: Annotated[int, "1", "0: -1, 1: a ramp, 2: command 2, 3: what the echo misses", (0, 3)]
+    echo: Annotated[int, "1", "the actuator of the echo", (0, ACTUATORS - 1)]
     limits: Annotated[candidate.Limits, "1", "limits of its size"]
 
 
@@ -130,12 +129,9 @@ def weigh_signatures(
 @firmware
 def keeps_onset(row: Row, constants: echoes.Constants, heard: echoes.State) -> bool:
     """Whether the onset of a row is sure: a fault that an echo shows, and nobody believes yet."""
-    if row.input == MISSING_1:
-        one = heard.channel_1
-        return one.believed == 0 and confesses(constants.actuator_1, one)
-    other = heard.channel_2
-    unknown = row.input == MISSING_2 and other.believed == 0
-    return unknown and confesses(constants.actuator_2, other)
+    echo = heard.actuators[row.echo]
+    unknown = row.input == MISSING and echo.believed == 0
+    return unknown and confesses(constants.actuators[row.echo], echo)
 
 
 @firmware
@@ -169,9 +165,7 @@ def is_over(own: State, verdict: int, rejected: bool, limit: float) -> bool:
 @firmware
 def is_informed(row: Row, heard: echoes.State) -> bool:
     """Whether the input of a row is known: an echo that stays away gives none."""
-    if row.input == MISSING_1:
-        return heard.channel_1.left > 0
-    return row.input != MISSING_2 or heard.channel_2.left > 0
+    return row.input != MISSING or heard.actuators[row.echo].left > 0
 
 
 @firmware
@@ -184,10 +178,8 @@ def input_of(
         put = own.ramp
     elif row.input == COMMAND_2:
         put = command_2
-    elif row.input == MISSING_1:
-        put = missing_command(constants.actuator_1, heard.channel_1)
-    elif row.input == MISSING_2:
-        put = missing_command(constants.actuator_2, heard.channel_2)
+    elif row.input == MISSING:
+        put = missing_command(constants.actuators[row.echo], heard.actuators[row.echo])
     return put
 
 
@@ -215,9 +207,7 @@ def weigh(
     put = input_of(row, own, table.echoes, heard, command_2)
     shown = answer_of(table.estimator, row, own, put)
     limits = row.limits
-    if row.input == MISSING_1 and heard.channel_1.believed == 1:
-        limits = table.echoes.wrong
-    if row.input == MISSING_2 and heard.channel_2.believed == 1:
+    if row.input == MISSING and heard.actuators[row.echo].believed == 1:
         limits = table.echoes.wrong
     take_in(table.mismatch, known, own.candidate, limits, shown, innovation)
     return shown
@@ -270,10 +260,8 @@ def advance_signatures(table: Table, own: State, heard: echoes.State, command_2:
         if is_informed(row, heard):
             put = input_of(row, one, table.echoes, heard, command_2)
             told = advance_answer(table.estimator, row, one, put)
-            if row.input == MISSING_1:
-                heard.channel_1.told = told
-            elif row.input == MISSING_2:
-                heard.channel_2.told = told
+            if row.input == MISSING:
+                heard.actuators[row.echo].told = told
         one.ramp -= real(1.0, command_2)
 
 

@@ -34,7 +34,14 @@ from firmware_model.law.supervision import (
 from firmware_model.law.supervision.candidate import likeliest
 from firmware_model.law.supervision.corroboration import sensor_waits
 from firmware_model.law.supervision.covariance import LOSS_STATES, variance_of
-from firmware_model.law.supervision.echoes import Echo, believe, missing_command, says_lost, works
+from firmware_model.law.supervision.echoes import (
+    FORCE,
+    TORQUE,
+    believe,
+    missing_command,
+    says_lost,
+    works,
+)
 from firmware_model.law.supervision.frozen import (
     Constants as FrozenConstants,
     State as FrozenState,
@@ -188,11 +195,11 @@ def judge(
         if ahead and answers_no_more(own.signatures):
             own.verdict = BOTH_LOST
     elif is_reported(force_echo, confirm, most):
-        find_by_echo(table, own, known, heard, force_echo, heard.channel_2, FORCE_LOST)
+        find_by_echo(table, own, known, heard, FORCE_ECHO_ROW)
     elif is_reported(torque_echo, confirm, most) and not says_lost(
-        table.echoes.actuator_1, heard.channel_1
+        table.echoes.actuators[TORQUE], heard.actuators[TORQUE]
     ):
-        find_by_echo(table, own, known, heard, torque_echo, heard.channel_1, TORQUE_OFFSET)
+        find_by_echo(table, own, known, heard, TORQUE_ECHO_ROW)
     elif world > confirm and world >= most and not apart:
         own.verdict = ANOTHER_CAR if own.verdict == NOTHING else own.verdict
     elif most > confirm and is_clear(table, own, most, second) and not apart:
@@ -239,12 +246,14 @@ def of_world(evidence: FloatArray, waits: bool, excused: bool) -> float:
 @firmware
 def with_echoes(table: Table, heard: echoes.State, lost: bool, verdict: int) -> int:
     """The verdict of a tick, where a believed echo names the place."""
-    torque, force = heard.channel_1, heard.channel_2
+    torque, force = heard.actuators[TORQUE], heard.actuators[FORCE]
     if lost:
-        gone = force.believed == 1 and says_lost(table.echoes.actuator_2, force)
+        gone = force.believed == 1 and says_lost(table.echoes.actuators[FORCE], force)
         verdict = BOTH_LOST if gone else verdict
     elif torque.believed == 1:
-        verdict = TORQUE_LOST if says_lost(table.echoes.actuator_1, torque) else TORQUE_OFFSET
+        verdict = (
+            TORQUE_LOST if says_lost(table.echoes.actuators[TORQUE], torque) else TORQUE_OFFSET
+        )
     elif force.believed == 1:
         verdict = FORCE_LOST
     return verdict
@@ -283,23 +292,19 @@ def is_reported(row: signatures.One, confirm: float, most: float) -> bool:
 
 @firmware
 def find_by_echo(
-    table: Table,
-    own: State,
-    known: mismatch.State,
-    heard: echoes.State,
-    row: signatures.One,
-    echo: Echo,
-    fault: int,
+    table: Table, own: State, known: mismatch.State, heard: echoes.State, i: int
 ) -> None:
-    """Record that ``echo`` tells the truth about a ``fault``, or no longer does."""
-    if echo.believed == 0 and fault == TORQUE_OFFSET:
+    """Record that the echo of row ``i`` tells the truth about its fault, or no longer does."""
+    constants, row = table.hypotheses.signatures.rows[i], own.signatures.rows[i]
+    echo = heard.actuators[constants.echo]
+    if echo.believed == 0 and constants.echo == TORQUE:
         heard.between += heard.told_between
         heard.handed += heard.told_handed
     believe(table, known, echo, row.candidate, row.answer)
     begin(row)
     begin_all(own.signatures)
     own.found_size = 0.0
-    own.found = fault
+    own.found = constants.fault
     own.verdict = NOTHING
 
 
@@ -308,14 +313,14 @@ def believe_with_witness(
     table: Table, own: State, known: mismatch.State, heard: echoes.State, seen: witness.State
 ) -> None:
     """Believe the echo of a lost torque without the sensor, once the witness shows the loss too."""
-    echo, row = heard.channel_1, own.signatures.rows[TORQUE_ECHO_ROW]
-    actuator = table.echoes.actuator_1
+    echo, row = heard.actuators[TORQUE], own.signatures.rows[TORQUE_ECHO_ROW]
+    actuator = table.echoes.actuators[TORQUE]
     missing = output(table.estimator.channel_1, row.answer, missing_command(actuator, echo))
     half = real(0.5, missing)
     explains = abs(seen.difference + missing) < half * abs(seen.difference)
     shown = seen.left > 0 and seen.witness_off > unsure(table.witness, seen)
     if shown and explains and echo.believed == 0 and says_lost(actuator, echo):
-        find_by_echo(table, own, known, heard, row, echo, TORQUE_OFFSET)
+        find_by_echo(table, own, known, heard, TORQUE_ECHO_ROW)
 
 
 @firmware
@@ -331,9 +336,9 @@ def standing(table: Table, own: State, heard: echoes.State, lost: bool) -> int:
     if verdict == SENSOR_FROZEN and own.frozen.repetitions > real(0.0, own.found_size):
         return verdict
     working = table.echoes.working
-    if verdict == TORQUE_OFFSET and works(heard.channel_1, working):
+    if verdict == TORQUE_OFFSET and works(heard.actuators[TORQUE], working):
         verdict = NOTHING
-    obeys = own.signatures.obeyed == 1 or works(heard.channel_2, working)
+    obeys = own.signatures.obeyed == 1 or works(heard.actuators[FORCE], working)
     if verdict == FORCE_LOST and obeys:
         verdict = NOTHING
     if verdict == TORQUE_LOST or verdict > SENSOR_DRIFTING:
@@ -417,7 +422,7 @@ def clear_hypotheses(own: State) -> None:
     """Nothing is known."""
     for i in range(ROWS):
         begin(own.signatures.rows[i])
-    begin_all(own.signatures)
+    begin_others(own.signatures)
     thaw(own.frozen)
     own.frozen.measurement = own.frozen.expected = own.found_size = 0.0
     own.evidence[:] = 0.0

@@ -15,7 +15,13 @@ from firmware_model.firmware import Answer, Firmware
 from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray
-from firmware_model.law.supervision.echoes import KEPT_TICKS, contradicts_share, told_share
+from firmware_model.law.supervision.echoes import (
+    FORCE,
+    KEPT_TICKS,
+    TORQUE,
+    contradicts_share,
+    told_share,
+)
 from firmware_model.law.supervision.further_sensors import hear
 from firmware_model.law.supervision.verdict import standing
 from tests.firmware.law.cases import CAR, TICK_S, changed
@@ -255,10 +261,10 @@ def test_an_echo_that_contradicts_a_confirmed_loss_takes_over_without_a_jump():
 def test_an_echo_contradicts_a_share_that_explains_less_than_half(echo, share, contradicts):
     table = table_of()
     state = controller.init(table)[0]
-    state.echoes.channel_1.outputs[:] = 100.0
+    state.echoes.actuators[TORQUE].outputs[:] = 100.0
     hear(table, state, 1.0, echo, 0.0)
-    own = state.echoes.channel_1
-    assert contradicts_share(table.echoes.actuator_1, own, share) == contradicts
+    own = state.echoes.actuators[TORQUE]
+    assert contradicts_share(table.echoes.actuators[TORQUE], own, share) == contradicts
 
 
 @pytest.mark.every_case  # a case each of few lines
@@ -279,9 +285,11 @@ def test_an_echo_tells_a_share_where_e_and_its_changes_follow_the_output(told, s
     table = table_of()
     state = controller.init(table)[0]
     for output, echo in [(100.0, 100.0), (100.0, 100.0), *told]:
-        state.echoes.channel_1.outputs[:] = output
+        state.echoes.actuators[TORQUE].outputs[:] = output
         hear(table, state, 1.0, echo, 0.0)
-    assert told_share(table.echoes.actuator_1, state.echoes.channel_1) == pytest.approx(share)
+    assert told_share(
+        table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]
+    ) == pytest.approx(share)
 
 
 @pytest.mark.compiled
@@ -385,7 +393,7 @@ def test_many_good_echoes_end_a_verdict(channel, verdict):
     table = table_of()
     state = controller.init(table)[0]
     state.hypotheses.verdict = verdict
-    state.echoes.channel_1.outputs[:] = state.echoes.channel_2.outputs[:] = 5.0
+    state.echoes.actuators[TORQUE].outputs[:] = state.echoes.actuators[FORCE].outputs[:] = 5.0
     for _ in range(int(table.echoes.working)):
         assert standing(table, state.hypotheses, state.echoes, False) == verdict
         hear(table, state, float(channel), 4.9, 0.0)

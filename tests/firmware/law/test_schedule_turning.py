@@ -31,7 +31,7 @@ ONES = (  # whatever follows G1, and whatever follows G2
         lambda s: s.loss_model.earlier,
         lambda s: s.hypotheses.signatures.rows[OFFSET_ROW].answer,
         lambda s: s.hypotheses.signatures.rows[TORQUE_ECHO_ROW].answer,
-        lambda s: s.echoes.channel_1.known,
+        lambda s: s.echoes.actuators[0].known,
         lambda s: s.other_cars.model.channel_1,
     ),
     (
@@ -39,7 +39,7 @@ ONES = (  # whatever follows G1, and whatever follows G2
         lambda s: s.shortfall_2,
         lambda s: s.hypotheses.signatures.rows[FORCE_ROW].answer,
         lambda s: s.hypotheses.signatures.rows[FORCE_ECHO_ROW].answer,
-        lambda s: s.echoes.channel_2.known,
+        lambda s: s.echoes.actuators[1].known,
         lambda s: s.other_cars.model.channel_2,
     ),
 )

@@ -4,7 +4,6 @@ import csv
 import os
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +11,10 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import PYTHON
-from can_rig.nodes import without_bus
+from can_rig.nodes import ticks
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.ticks import NodeSummary, timed
+from can_rig.nodes.ticks import NodeSummary
 from can_rig.nodes.without_bus import RunWithoutBus, run_without_bus
 from can_rig.plant import in_windows
 from can_rig.scenario.settings import Scenario
@@ -91,7 +90,7 @@ def test_a_stop_ends_it_after_the_block(kind, tmp_path):
 
 def test_it_says_after_each_block_how_far_it_is_and_how_long_it_took(tmp_path, monkeypatch):
     clock, done = TurnedClock(7_000_000_000), []
-    monkeypatch.setattr(without_bus, "timed", partial(timed, clock=clock))
+    monkeypatch.setattr(ticks, "SYSTEM_CLOCK", clock)
 
     def on_tick(tick: int) -> None:
         done.append(tick)
