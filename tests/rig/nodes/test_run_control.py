@@ -66,39 +66,27 @@ DEAD = Command("INJECT", "actuator-dead", "torque", None, 0.1)
 
 
 @pytest.mark.parametrize(
-    ("command", "keys"),
-    [
-        (DEAD, ("kind=actuator-dead", "for_s=0.1")),
-        (
-            Command("INJECT", "sensor-biased", "sensor", 0.07),
-            ("kind=sensor-biased", "bias_mps2=0.07"),
-        ),
-        (
-            Command("INJECT", "actuator-late", "force-difference", 3.0),
-            ("kind=actuator-late", "channel=force-difference", "late_ticks=3"),
-        ),
-        (Command("INJECT", "sensor-stuck", "sensor"), ("kind=sensor-stuck",)),
-        *(
-            (
-                Command("INJECT", kind, place, value, 0.1),
-                (f"kind={kind}", f"channel={place}", "for_s=0.1", *key),
-            )
-            for kind, place, value, key in (
-                ("frames-missing", "torque", None, ()),
-                ("frames-corrupted", "force-difference", None, ()),
-                ("frames-repeated", "torque", None, ()),
-                ("frames-repeated", "sensor", None, ()),
-                ("frames-late", "torque", 3.0, ("late_ticks=3",)),
-                ("frames-forged", "torque", 2.5, ("value=2.5",)),
-                ("frames-forged", "sensor", 0.25, ("value=0.25",)),
-            )
-        ),
-    ],
-)
-def test_an_injected_fault_is_that_of_a_scenario_from_the_next_tick_on(tmp_path, command, keys):
+    ("kind", "place", "value", "for_s", "key"),
+    [("actuator-dead", "torque", None, 0.1, ""),
+     ("sensor-biased", "sensor", 0.07, None, "bias_mps2"),
+     ("actuator-late", "force-difference", 3.0, None, "late_ticks"),
+     ("sensor-stuck", "sensor", None, None, ""), ("frames-missing", "torque", None, 0.1, ""),
+     ("frames-corrupted", "force-difference", None, 0.1, ""),
+     ("frames-repeated", "torque", None, 0.1, ""), ("frames-repeated", "sensor", None, 0.1, ""),
+     ("frames-late", "torque", 3.0, 0.1, "late_ticks"),
+     ("frames-forged", "torque", 2.5, 0.1, "value"),
+     ("frames-forged", "sensor", 0.25, 0.1, "value")],
+)  # fmt: skip
+def test_an_injected_fault_is_that_of_a_scenario_from_the_next_tick_on(
+    tmp_path, kind, place, value, for_s, key
+):
     # Within tick 100: after its reference, feedback and first command.
+    command = Command("INJECT", kind, place, value, for_s)
     log, scenario, _ = touched(tmp_path, (100 * FRAMES + 3, command))
-    same = load("ideal", [*SETTINGS, "fault.at_s=0.101", *(f"fault.{key}" for key in keys)])
+    keys = [f"kind={kind}", *([f"for_s={for_s}"] if for_s else [])]
+    keys += [f"{key}={value:g}"] if key else []
+    keys += [] if kind.startswith("sensor") else [f"channel={place}"]
+    same = load("ideal", [*SETTINGS, "fault.at_s=0.101", *(f"fault.{each}" for each in keys)])
     other = tmp_path / "scheduled.log"
     run_in_process(same, "virtual:scheduled", other, StopRequest(), lambda _: None, PYTHON)
     assert frames(log) == frames(other)
