@@ -7,7 +7,7 @@ from pathlib import Path
 import cantools
 import pytest
 from cantools.database.can import Database
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import DbcError, ScenarioError
@@ -46,9 +46,10 @@ def layouts(draw: st.DrawFn) -> tuple[str, float, int, bool]:
 
 
 @settings(max_examples=60)
+@example(("32|25@1- (0.001,16777.203000000001) [0|0]", 0.001, 25, True), [1.0])
 @given(layout=layouts(), values=st.lists(VALUES, min_size=1, max_size=5))
 def test_cantools_reads_what_is_sent(tmp_path_factory, layout, values):
-    line, factor, _, _ = layout
+    line, factor, bits, _ = layout
     text = database(line, 8)
     codec = network(tmp_path_factory.mktemp("n"), text, tick="Count").command_1
     theirs = cantools.database.load_string(text, "dbc")
@@ -62,7 +63,9 @@ def test_cantools_reads_what_is_sent(tmp_path_factory, layout, values):
             assert math.isnan(record.value)
             assert not codec.minimum <= said["Value"] <= codec.maximum
             continue
-        assert said["Value"] == pytest.approx(record.value, abs=1e-9 * factor, rel=1e-12)
+        cancelled = math.ulp(2**bits * factor)  # of raw value and offset, each as large
+        within = 1e-9 * factor + 2 * cancelled
+        assert said["Value"] == pytest.approx(record.value, abs=within, rel=1e-12)
         nearest = min(max(value, codec.minimum), codec.maximum)
         rounding = 2 * math.ulp(nearest)
         assert abs(record.value - nearest) <= factor / 2 * (1 + 1e-9) + rounding
