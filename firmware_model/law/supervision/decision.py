@@ -231,20 +231,27 @@ def restart_test(table: Table, state: layout.State) -> None:
 
 @firmware
 def confirm_or_believe(table: Table, state: layout.State) -> None:
-    """Confirm the lost share of channel 1, or believe the echo that contradicts the share."""
+    """Confirm the lost share of channel 1, or believe the echo that contradicts the share.
+
+    An echo that explains d̂ less than half as well as a loss is not believed: the echo may be wrong.
+    Then the loss stays a suspicion.
+    """
     told, echo = table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]
     share = lost_share(table.sequential_test, state.sequential_test)
     contradicted = contradicts_share(told, echo, possible_share(share))
     if contradicted:
         share = told_share(told, echo)
         contradicted = not share > 0.0 or contradicts_share(told, echo, share)
+    row, half = state.hypotheses.signatures.rows[TORQUE_ECHO_ROW].candidate, real(0.5, share)
     if not contradicted:
         confirm(table, state, share)
-    else:
+    elif row.evidence > half * state.sequential_test.evidence:
         believe_torque_echo(table, state)
         transfer_to_losses(table, state)
         restart_test(table, state)
         state.fault_state = CLEAR
+    else:
+        state.fault_state = SUSPECTED
 
 
 @firmware

@@ -243,11 +243,16 @@ def says_lost(constants: Actuator, own: Echo) -> bool:
 
 @firmware
 def contradicts_share(constants: Actuator, own: Echo, share: float) -> bool:
-    """Whether the last echo shows a fault that a loss of ``share`` explains less than half."""
+    """Whether the last echoes show a fault that a loss of ``share`` explains less than half.
+
+    The level of e, or the changes of e.
+    """
     rest, quarter = own.error - share * own.modelled, real(0.25, own.error)
     rest = rest * rest
     less = rest > quarter * own.error * own.error and rest > constants.least
-    contradicts: bool = confesses(constants, own) and less
+    half = real(0.5, share) * share
+    moves = own.swing > constants.least and own.stray < half * own.swing
+    contradicts: bool = confesses(constants, own) and (less or moves)
     return contradicts
 
 
