@@ -36,8 +36,10 @@ from firmware_model.law.supervision.corroboration import follow_residual, torque
 from firmware_model.law.supervision.echoes import (
     TORQUE,
     Echo,
+    confesses,
     contradicts_share,
     known_output,
+    moves,
     says_lost,
     told_share,
 )
@@ -233,19 +235,19 @@ def restart_test(table: Table, state: layout.State) -> None:
 def confirm_or_believe(table: Table, state: layout.State) -> None:
     """Confirm the lost share of channel 1, or believe the echo that contradicts the share.
 
-    An echo that explains d̂ less than half as well as a loss is not believed: the echo may be wrong.
-    Then the loss stays a suspicion.
+    An echo that d̂ has contradicted is believed only if it explains d̂ half as well as a loss;
+    otherwise the loss stays a suspicion.
     """
     told, echo = table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]
     share = lost_share(table.sequential_test, state.sequential_test)
     contradicted = contradicts_share(told, echo, possible_share(share))
-    if contradicted:
+    if contradicted or (confesses(told, echo) and moves(told, echo)):
         share = told_share(told, echo)
         contradicted = not share > 0.0 or contradicts_share(told, echo, share)
     row, half = state.hypotheses.signatures.rows[TORQUE_ECHO_ROW].candidate, real(0.5, share)
     if not contradicted:
         confirm(table, state, share)
-    elif row.evidence > half * state.sequential_test.evidence:
+    elif echo.doubted == 0 or row.evidence > half * state.sequential_test.evidence:
         believe_torque_echo(table, state)
         transfer_to_losses(table, state)
         restart_test(table, state)

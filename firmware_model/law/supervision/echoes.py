@@ -89,6 +89,7 @@ class Echo(Struct):
     good: Annotated[int, "1", "echoes without a fault, one after another"]
     left: Annotated[int, "tick", "for so long the last echo counts; 0: no echo"]
     believed: Annotated[int, "1", "1: e is known to be missing"]
+    doubted: Annotated[int, "1", "1: d̂ has contradicted the fault that the echo shows"]
     known: Annotated[biquad.State, "y", "state of G driven by the believed v"]
     previous: Annotated[float, "y", "its output in the last tick"]
     told: Annotated[float, "y", "the same of v since the onset of its signature"]
@@ -112,8 +113,10 @@ def take_echo(constants: Constants, state: State, own: Echo, echo: float, age: f
     modelled, half = own.outputs[index], real(0.5, echo)
     error = modelled - echo
     moved, keep = modelled - own.modelled, real(0.99, echo)
-    own.stray = keep * own.stray + moved * (error - own.error)
-    own.swing = keep * own.swing + moved * moved
+    change, two = error - own.error, real(2.0, echo)
+    if abs(change) < two * abs(moved):  # otherwise a fault that begins or moves by itself
+        own.stray = keep * own.stray + moved * change
+        own.swing = keep * own.swing + moved * moved
     own.turned = error * own.modelled - own.error * modelled
     own.error, own.modelled = error, modelled
     own.missing = half * own.missing + modelled * error
@@ -123,6 +126,7 @@ def take_echo(constants: Constants, state: State, own: Echo, echo: float, age: f
     healthy = real(16.0, echo) * own.off < own.power
     if healthy or own.good > 0:
         own.stray = own.swing = 0.0
+        own.doubted = 0
     own.good = min(own.good + 1, MAX_COUNTED) if healthy else 0
     if works(own, constants.working):
         own.believed = 0
@@ -243,16 +247,11 @@ def says_lost(constants: Actuator, own: Echo) -> bool:
 
 @firmware
 def contradicts_share(constants: Actuator, own: Echo, share: float) -> bool:
-    """Whether the last echoes show a fault that a loss of ``share`` explains less than half.
-
-    The level of e, or the changes of e.
-    """
+    """Whether the last echo shows a fault that a loss of ``share`` explains less than half."""
     rest, quarter = own.error - share * own.modelled, real(0.25, own.error)
     rest = rest * rest
     less = rest > quarter * own.error * own.error and rest > constants.least
-    half = real(0.5, share) * share
-    moves = own.swing > constants.least and own.stray < half * own.swing
-    contradicts: bool = confesses(constants, own) and (less or moves)
+    contradicts: bool = confesses(constants, own) and less
     return contradicts
 
 
@@ -277,6 +276,14 @@ def obeys(constants: Actuator, own: Echo) -> bool:
     most = real(0.75, own.swing)
     follows: bool = own.swing > constants.least and own.stray < most * own.swing
     return follows
+
+
+@firmware
+def moves(constants: Actuator, own: Echo) -> bool:
+    """Whether a faulty actuator obeys, seen in changes of its output of an eighth of e together."""
+    most = real(64.0, own.swing) * own.swing
+    seen: bool = obeys(constants, own) and own.error * own.error < most
+    return seen
 
 
 @firmware
@@ -308,4 +315,4 @@ def settle_echo(constants: Actuator, own: Echo, command: float) -> None:
     own.known.accumulators[:] = 0.0
     own.error = own.before = own.missing = own.off = own.power = own.previous = own.told = 0.0
     own.stray = own.swing = own.turned = 0.0
-    own.good = own.left = own.believed = 0
+    own.good = own.left = own.believed = own.doubted = 0

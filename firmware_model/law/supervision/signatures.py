@@ -115,6 +115,7 @@ def weigh_signatures(
             rejected = rejected or fresh > one.candidate.evidence
         if rejected and keeps_onset(row, table.echoes, heard):
             count_anew(one.candidate)
+            heard.actuators[row.echo].doubted = 1
         elif rejected:
             begin(one)
         if rejected and row.through == THROUGH_M:  # a bias as well as a ramp begins with this tick
