@@ -359,6 +359,12 @@ def random_state(
     state.echoes.index = random.integers(0, KEPT_TICKS)
     for echo in state.echoes.actuators:
         echo.left, echo.believed, echo.good = reported(random)
+        echo.doubted = random.integers(0, 2)
+        if random.random() < 0.3:  # of a motor that obeys, with a small or a large error
+            with np.errstate(over="ignore"):
+                echo.swing = random.choice([1e-2, 1.0]) * echo.error**2
+            echo.stray = random.uniform(-1.0, 1.0) * echo.swing
+            state.sequential_test.evidence = random.exponential(100.0)
         if random.random() < 0.2:  # of a motor that has lost a share
             share = random.uniform(0.0, 3.0)
             echo.turned, echo.swing = 0.0, random.choice([0.0, abs(echo.swing)])

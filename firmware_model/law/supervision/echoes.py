@@ -10,7 +10,8 @@ obedient to foreign commands. e adds G v to d̂, with v the command that a healt
 e: a signature with only its share unknown. An echo alone proves nothing, because an echo may be
 wrong or repeat the command: the evidence comes from d̂ (``hypotheses``). Once the evidence is
 enough, the law *believes* the echo: G v leaves d̂, and F̂ gets the missing output of actuator 1. A
-believed echo that turns out to be wrong is found by the same signature with the opposite sign.
+believed echo that turns out to be wrong is found by the same signature with the opposite sign. An
+echo is *doubted* once d̂ contradicts its e, until the next echo without a fault.
 
 A motor that still obeys, with an offset, a drift or a delay, can make up for its own error: C takes
 over the part that F̂ carries, as fast as two lags in a row. A motor obeys if the changes of e differ
@@ -114,7 +115,7 @@ def take_echo(constants: Constants, state: State, own: Echo, echo: float, age: f
     error = modelled - echo
     moved, keep = modelled - own.modelled, real(0.99, echo)
     change, two = error - own.error, real(2.0, echo)
-    if abs(change) < two * abs(moved):  # otherwise a fault that begins or moves by itself
+    if abs(change) < two * abs(moved):  # otherwise e begins, or moves by itself
         own.stray = keep * own.stray + moved * change
         own.swing = keep * own.swing + moved * moved
     own.turned = error * own.modelled - own.error * modelled

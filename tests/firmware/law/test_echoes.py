@@ -15,6 +15,7 @@ from firmware_model.firmware import Answer, Firmware
 from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray
+from firmware_model.law.supervision import echoes
 from firmware_model.law.supervision.echoes import (
     FORCE,
     KEPT_TICKS,
@@ -290,6 +291,50 @@ def test_an_echo_tells_a_share_where_e_and_its_changes_follow_the_output(told, s
     assert told_share(
         table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]
     ) == pytest.approx(share)
+
+
+@pytest.mark.every_case  # a case each of few lines
+@pytest.mark.parametrize(
+    ("told", "moves"),
+    [
+        ([(100.0, 40.0), (140.0, 80.0), (160.0, 100.0)], True),  # off by 60
+        ([(100.0, 20.0), (160.0, 80.0), (100.0, 20.0)], True),
+        ([(100.0, 40.0), (101.0, 41.0), (102.0, 42.0)], False),  # hardly seen
+        ([(100.0, 0.0), (140.0, 0.0), (90.0, 0.0)], False),  # dead
+        (
+            [(100.0, 50.0), (98.0, 20.0), (95.0, 5.0), (90.0, 0.0), (80.0, 0.0)],
+            False,
+        ),  # behind a lag
+        ([(100.0, 30.0), (100.0, 30.0)], False),  # stands still
+    ],
+)
+def test_an_actuator_moves_where_its_output_changes_more_than_e(told, moves):
+    table = table_of()
+    state = controller.init(table)[0]
+    for output, echo in [(100.0, 100.0), (100.0, 100.0), *told]:
+        state.echoes.actuators[TORQUE].outputs[:] = output
+        hear(table, state, 1.0, echo, 0.0)
+    assert echoes.moves(table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]) == moves
+
+
+@pytest.mark.parametrize("push", [lambda k: 0.3 * min(max(k - 200, 0) / 200, 1.0),
+                                  lambda k: 0.25 * math.sin(0.013 * max(k - 150, 0))])  # fmt: skip
+def test_an_echo_that_sticks_in_a_gust_is_not_taken_for_a_stuck_motor(push):
+    """Compensation of what such an echo claims would be ten times the force, and more."""
+    before = []
+
+    def stuck(outputs: Any, _commands: Any, k: int) -> Any:
+        if k < FAULT:
+            before[:] = [outputs[0]]
+        return before[0], outputs[1]
+
+    unheard, heard = (
+        max(
+            abs(answer.command_2) for answer in drive(table_of(), working, hears, push, FAULT + 800)
+        )
+        for hears in (None, stuck)
+    )
+    assert 0.0 < heard < 5.0 * unheard
 
 
 @pytest.mark.compiled

@@ -47,6 +47,38 @@ def test_a_healthy_car_without_alarms_deviates_from_nothing(compensation):
     assert (values["right_place"], values["wrong_place"]) == (None, False)
 
 
+CAR = ("mass_kg", "speed_mps", "front_cornering_stiffness_n_per_rad",
+       "rear_cornering_stiffness_n_per_rad")  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("car", "fault", "seed"),
+    [
+        (
+            (1463, 8.73, 27029, 58627),
+            ["kind=actuator-drift", "drift_per_s=4.145", "at_s=2.6"],
+            3627014058,
+        ),
+        (
+            (1546, 11.62, 36448, 65226),
+            ["kind=sensor-stuck", "channel=torque-echo", "at_s=3"],
+            2550390054,
+        ),
+    ],
+)
+def test_a_motor_that_makes_up_for_its_drift_and_a_stuck_echo_are_not_compensated_to_harm(
+    car, fault, seed
+):
+    """In cars that differ from the model, where a loss explains d̂ for a while."""
+    drive = ["reference.kind=lane-change", "reference.frequency_rad_per_s=1.34", "duration_s=7"]
+    drive += [f"seed={seed}", *(f"fault.{each}" for each in fault)]
+    for key, believed, real in zip(CAR, (1400, 10, 33700, 56200), car, strict=True):
+        drive += [f"model.{key}={believed}", f"plant.{key}={real}"]
+    values = metrics_of(load("chassis-cluster", drive))
+    uncompensated = values["deviation_peak_uncompensated_mps2"]
+    assert values["deviation_peak_mps2"] <= 1.1 * uncompensated + 0.01
+
+
 @given(away=st.floats(-3.0, 3.0).filter(bool), begin=st.integers(0, 250))
 def test_a_constant_deviation_leads_half_a_t_squared_astray(away, begin):
     """Within the two seconds of a driver, or what the run has of them."""
