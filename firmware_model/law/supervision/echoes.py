@@ -85,7 +85,11 @@ class Echo(Struct):
     power: Annotated[float, "command²", "fading Σ output² over the echoes"]
     modelled: Annotated[float, "command", "modelled output at the sample of the last echo"]
     turned: Annotated[float, "command²", "e · output before - e before · output; 0: one share"]
-    stray: Annotated[float, "command²", "fading Σ change of e · change of output, since faulty"]
+    stray: Annotated[
+        float,
+        "command²",
+        "fading Σ change of e · change of output, while faulty and e moves little",
+    ]
     swing: Annotated[float, "command²", "fading Σ (change of output)², likewise"]
     good: Annotated[int, "1", "echoes without a fault, one after another"]
     left: Annotated[int, "tick", "for so long the last echo counts; 0: no echo"]
