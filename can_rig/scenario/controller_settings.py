@@ -1,5 +1,6 @@
 """The keys of the controller: the rig's own law, or a controller of one's own."""
 
+from dataclasses import field
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, PositiveFloat
@@ -77,8 +78,8 @@ class ControllerSettings:
     """
 
     kind: str = OURS
-    parameters: Annotated[dict[str, Any], AfterValidator(Table)] = Table()
-    variables: Annotated[dict[str, str], AfterValidator(Table)] = Table()
+    parameters: Annotated[dict[str, Any], AfterValidator(Table)] = field(default_factory=Table)
+    variables: Annotated[dict[str, str], AfterValidator(Table)] = field(default_factory=Table)
     c: FilterSettings = FilterSettings()
     u1_r: FilterSettings = FilterSettings()
     u1_y: FilterSettings = FilterSettings()

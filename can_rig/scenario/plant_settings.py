@@ -370,8 +370,12 @@ class PlantSettings(VehicleParameters):
     torque_actuator: TorqueActuator = TorqueActuator()
     force_difference_actuator: ForceDifferenceActuator = ForceDifferenceActuator()
     sensor: SensorSettings = SensorSettings()
-    parameters: Annotated[dict[str, Any], AfterValidator(Table)] = Table()
-    variables: Annotated[dict[str, str], AfterValidator(Table)] = Table()
+    parameters: Annotated[dict[str, Any], AfterValidator(Table)] = dataclasses.field(
+        default_factory=Table
+    )
+    variables: Annotated[dict[str, str], AfterValidator(Table)] = dataclasses.field(
+        default_factory=Table
+    )
     fmi_type: Literal["co-simulation", "model-exchange"] | None = None
 
     def __post_init__(self) -> None:

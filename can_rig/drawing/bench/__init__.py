@@ -189,10 +189,11 @@ def _extremes(
 
 def _numbers(time_s: FloatArray, columns: Mapping[str, FloatArray]) -> dict[str, Any]:
     """Deflated numbers for ``recorded.js``: the time as doubles, each column as floats."""
-    parts: Sequence[bytes] = [
-        time_s.astype("<f8").tobytes(),
-        *(values.astype("<f4").tobytes() for values in columns.values()),
-    ]
+    with np.errstate(over="ignore"):  # a value beyond a float is infinite there
+        parts: Sequence[bytes] = [
+            time_s.astype("<f8").tobytes(),
+            *(values.astype("<f4").tobytes() for values in columns.values()),
+        ]
     return {"points": len(time_s), "keys": list(columns), "data": _deflated(b"".join(parts))}
 
 
