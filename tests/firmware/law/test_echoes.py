@@ -15,12 +15,12 @@ from firmware_model.firmware import Answer, Firmware
 from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray
-from firmware_model.law.supervision import echoes
 from firmware_model.law.supervision.echoes import (
     FORCE,
     KEPT_TICKS,
     TORQUE,
     contradicts_share,
+    moves,
     told_share,
 )
 from firmware_model.law.supervision.further_sensors import hear
@@ -247,6 +247,16 @@ def test_an_echo_that_contradicts_a_confirmed_loss_takes_over_without_a_jump():
     assert changes[end - 1 :].max() < 60.0 < changes[:end].max()
 
 
+def heard(*told: tuple[float, float]) -> tuple[Any, Any]:
+    """The torque's constants and its echo, after each modelled output and its report."""
+    table = table_of()
+    state = controller.init(table)[0]
+    for output, echo in told:
+        state.echoes.actuators[TORQUE].outputs[:] = output
+        hear(table, state, 1.0, echo, 0.0)
+    return table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]
+
+
 @pytest.mark.parametrize(
     ("echo", "share", "contradicts"),
     [
@@ -260,12 +270,7 @@ def test_an_echo_that_contradicts_a_confirmed_loss_takes_over_without_a_jump():
     ],
 )
 def test_an_echo_contradicts_a_share_that_explains_less_than_half(echo, share, contradicts):
-    table = table_of()
-    state = controller.init(table)[0]
-    state.echoes.actuators[TORQUE].outputs[:] = 100.0
-    hear(table, state, 1.0, echo, 0.0)
-    own = state.echoes.actuators[TORQUE]
-    assert contradicts_share(table.echoes.actuators[TORQUE], own, share) == contradicts
+    assert contradicts_share(*heard((100.0, echo)), share) == contradicts
 
 
 @pytest.mark.every_case  # a case each of few lines
@@ -283,38 +288,24 @@ def test_an_echo_contradicts_a_share_that_explains_less_than_half(echo, share, c
     ],
 )
 def test_an_echo_tells_a_share_where_e_and_its_changes_follow_the_output(told, share):
-    table = table_of()
-    state = controller.init(table)[0]
-    for output, echo in [(100.0, 100.0), (100.0, 100.0), *told]:
-        state.echoes.actuators[TORQUE].outputs[:] = output
-        hear(table, state, 1.0, echo, 0.0)
-    assert told_share(
-        table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]
-    ) == pytest.approx(share)
+    assert told_share(*heard((100.0, 100.0), (100.0, 100.0), *told)) == pytest.approx(share)
 
 
 @pytest.mark.every_case  # a case each of few lines
 @pytest.mark.parametrize(
-    ("told", "moves"),
+    ("told", "seen"),
     [
         ([(100.0, 40.0), (140.0, 80.0), (160.0, 100.0)], True),  # off by 60
         ([(100.0, 20.0), (160.0, 80.0), (100.0, 20.0)], True),
         ([(100.0, 40.0), (101.0, 41.0), (102.0, 42.0)], False),  # hardly seen
         ([(100.0, 0.0), (140.0, 0.0), (90.0, 0.0)], False),  # dead
-        (
-            [(100.0, 50.0), (98.0, 20.0), (95.0, 5.0), (90.0, 0.0), (80.0, 0.0)],
-            False,
-        ),  # behind a lag
+        # dead, behind a lag
+        ([(100.0, 50.0), (98.0, 20.0), (95.0, 5.0), (90.0, 0.0), (80.0, 0.0)], False),
         ([(100.0, 30.0), (100.0, 30.0)], False),  # stands still
     ],
 )
-def test_an_actuator_moves_where_its_output_changes_more_than_e(told, moves):
-    table = table_of()
-    state = controller.init(table)[0]
-    for output, echo in [(100.0, 100.0), (100.0, 100.0), *told]:
-        state.echoes.actuators[TORQUE].outputs[:] = output
-        hear(table, state, 1.0, echo, 0.0)
-    assert echoes.moves(table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]) == moves
+def test_an_actuator_moves_where_its_output_changes_more_than_e(told, seen):
+    assert moves(*heard((100.0, 100.0), (100.0, 100.0), *told)) == seen
 
 
 def test_an_echo_that_sticks_in_a_gust_is_not_taken_for_a_stuck_motor():
