@@ -292,6 +292,16 @@ def moves(constants: Actuator, own: Echo) -> bool:
 
 
 @firmware
+def shows(constants: Actuator, own: Echo) -> bool:
+    """Whether the last echoes show an error beyond noise, or the law believes the error.
+
+    The noise of an echo explains nothing, however well the noise fits a large d̂ by chance.
+    """
+    shown: bool = own.believed == 1 or own.off > constants.least
+    return shown
+
+
+@firmware
 def confesses(constants: Actuator, own: Echo) -> bool:
     """Whether the last echo shows a fault, more than noise."""
     shown: bool = own.left > 0 and own.good == 0 and own.off > constants.least

@@ -40,6 +40,7 @@ from firmware_model.law.supervision.echoes import (
     believe,
     missing_command,
     says_lost,
+    shows,
     works,
 )
 from firmware_model.law.supervision.frozen import (
@@ -189,15 +190,17 @@ def judge(
     most = max(actuators, sensor)
     second = max(min(torque, force), min(actuators, sensor))
     torque_echo = own.signatures.rows[TORQUE_ECHO_ROW]
-    force_echo = own.signatures.rows[FORCE_ECHO_ROW]
+    force_echo, told = own.signatures.rows[FORCE_ECHO_ROW], table.echoes.actuators
     if lost:
         ahead = force - max(torque, sensor) > table.hypotheses.both_lost
         if ahead and answers_no_more(own.signatures):
             own.verdict = BOTH_LOST
-    elif is_reported(force_echo, confirm, most):
+    elif shows(told[FORCE], heard.actuators[FORCE]) and is_reported(force_echo, confirm, most):
         find_by_echo(table, own, known, heard, FORCE_ECHO_ROW)
-    elif is_reported(torque_echo, confirm, most) and not says_lost(
-        table.echoes.actuators[TORQUE], heard.actuators[TORQUE]
+    elif (
+        shows(told[TORQUE], heard.actuators[TORQUE])
+        and is_reported(torque_echo, confirm, most)
+        and not says_lost(told[TORQUE], heard.actuators[TORQUE])
     ):
         find_by_echo(table, own, known, heard, TORQUE_ECHO_ROW)
     elif world > confirm and world >= most and not apart:
