@@ -33,10 +33,14 @@ FAULT, END, RMS = 120, 420, 0.005
 
 
 def table_of(
-    actuators: tuple[Stage, Stage] = LAGS, latency: int = 1, echoes: bool = True, **changes: Any
+    actuators: tuple[Stage, Stage] = LAGS,
+    latency: int = 1,
+    echoes: bool = True,
+    echo_rms: float = 0.0,
+    **changes: Any,
 ) -> Any:
     plant = behind(CAR, *actuators, IDEAL)
-    reporting = Reporting(actuators[0]), Reporting(actuators[1])
+    reporting = Reporting(actuators[0], echo_rms), Reporting(actuators[1], echo_rms)
     known = {"on_confirmation": True, "noise_rms": RMS, **changes}
     target = Target(TICK_S, latency, "zoh", echoes=reporting if echoes else None, **known)
     return build(
@@ -322,6 +326,20 @@ def test_an_echo_that_sticks_in_a_gust_is_not_taken_for_a_stuck_motor():
 
     answers = drive(table_of(), working, stuck, gust)
     assert 0.0 < max(abs(answer.command_2) for answer in answers) < 10e3
+
+
+def test_the_noise_of_an_echo_explains_no_swing_of_the_sensor():
+    """A large d̂ fits any noise by chance: the fit is no evidence of a faulty actuator."""
+    draw = np.random.default_rng(0)
+
+    def noisy(outputs: Any, _commands: Any, _k: int) -> Any:
+        return np.asarray(outputs) + draw.normal(0.0, 8.0, 2)
+
+    def swings(k: int) -> float:
+        return 0.05 * math.sin(0.03 * k)
+
+    answers = drive(table_of(echo_rms=8.0), working, noisy, swings)
+    assert Verdict.TORQUE_OFFSET not in verdicts(answers)
 
 
 @pytest.mark.compiled
