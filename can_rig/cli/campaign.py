@@ -17,7 +17,7 @@ from can_rig.campaigns.settings import read_campaign
 from can_rig.campaigns.statistics import Cross, Summary
 from can_rig.campaigns.workers import Compute, in_processes, serially
 from can_rig.cli.options import json_option, set_option
-from can_rig.cli.output import counting, json_line, say, table, wide
+from can_rig.cli.output import counting, json_line, say, show_beside, table, wide
 from can_rig.errors import INTERRUPTED, WorkersLostError
 from can_rig.nodes.bus_access import StopRequest
 
@@ -135,16 +135,17 @@ def _found(summary: Summary) -> Table:
     return found
 
 
-def _cross(cross: Cross) -> Table:
+def _show_cross(cross: Cross) -> None:
     requirements = [each.name for each in cross.rows[0].rates] if cross.rows else []
     columns = [name.replace("_", " ").lower() for name in cross.columns]
-    heads = [f"{name} fails" for name in requirements]
-    found = table(cross.of_rows, "runs", *columns, *heads, left=1)
+    fails = [f"{name} fails" for name in requirements]
+    rows = []
     for row in cross.rows:
         counts = (str(row.counts.get(name, "")) for name in cross.columns)
         failed = (str(rate.failed or "") for rate in row.rates)
-        found.add_row(row.name, str(row.runs), *counts, *failed)
-    return found
+        rows.append((row.name, str(row.runs), *counts, *failed))
+    say("")
+    show_beside((cross.of_rows, "runs", *columns, *fails), *rows)
 
 
 def _print(summary: Summary, folder: CampaignFolder) -> None:
@@ -165,7 +166,7 @@ def _print(summary: Summary, folder: CampaignFolder) -> None:
     if summary.found:
         console.print(_found(summary))
     for cross in summary.tables:
-        console.print(_cross(cross))
+        _show_cross(cross)
     alarms = summary.false_alarms
     if alarms["per_hour"] is not None:
         say(
