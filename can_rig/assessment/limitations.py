@@ -36,7 +36,7 @@ import numpy as np
 
 from can_rig.drawing.names import names_of
 from can_rig.frames.network import Network
-from can_rig.plant.frameless import undisturbed_with_files
+from can_rig.plant.frameless import with_files
 from can_rig.plant.nonlinear_car import car_of
 from can_rig.scenario.build import continuous_plant, target
 from can_rig.scenario.fault_settings import CHANNELS, FaultSettings
@@ -183,11 +183,7 @@ class ControlAuthority:
         return {**asdict(self), "enough": self.enough}
 
 
-def _what_it_follows_from(scenario: Scenario, _: Network) -> Iterator[object]:
-    return undisturbed_with_files(scenario)
-
-
-@remembered(4, by=_what_it_follows_from)
+@remembered(4, by=lambda scenario, _: with_files(scenario.undisturbed))
 def control_authority(scenario: Scenario, network: Network) -> ControlAuthority | None:
     """The control authority of X_diff in ``scenario``; None for a plant other than a car."""
     if not scenario.plant.is_car:

@@ -26,11 +26,11 @@ WIDTH = 120
 """Least characters of a line of a wide table, wherever it goes."""
 
 
-def table(*headings: str, left: int = 1, title: str | None = None) -> Table:
+def table(*headings: str, left: int = 1, title: str | None = None, no_wrap: bool = False) -> Table:
     """A table without a frame; the first ``left`` columns hold text, the others numbers."""
     made = Table(box=None, pad_edge=False, title=title, show_header=any(headings))
     for index, heading in enumerate(headings):
-        made.add_column(heading, justify="left" if index < left else "right")
+        made.add_column(heading, justify="left" if index < left else "right", no_wrap=no_wrap)
     return made
 
 
@@ -47,9 +47,7 @@ def show_beside(headings: tuple[str, ...], *rows: tuple[str, ...]) -> None:
         end = shown + 1
         while end < len(headings) and sum(widths[shown : end + 1]) <= room:
             end += 1
-        part = table(*(headings[i] for i in (0, *range(shown, end))))
-        for column in part.columns:
-            column.no_wrap = True
+        part = table(*(headings[i] for i in (0, *range(shown, end))), no_wrap=True)
         for row in rows:
             part.add_row(row[0], *row[shown:end])
         say(*([""] if shown > 1 else []))

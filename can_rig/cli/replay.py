@@ -284,7 +284,7 @@ def _recorded_drive(
     console = wide()
     console.width = max(console.width, 170)  # names of signals are long
     headings = ("role", "signal", "bus", "unit", "samples", "period", "gaps", "least", "largest")
-    rows = _no_wrap(table(*headings, left=4))
+    rows = table(*headings, left=4, no_wrap=True)
     for each in summary["signals"]:
         ends = (
             "" if each[key] is None else f"{each[key]:.4g} {each['unit_of_role']}"
@@ -390,7 +390,7 @@ def _print_comparison(source: Source, loop: OpenLoop, listed: list[Gap], gaps: P
 
 def _signal_table(signals: Sequence[SignalComparison]) -> Table:
     headings = ("signal", "compared", "different", "first tick", "log", "replay", "largest", "at")
-    rows = _no_wrap(table(*headings))
+    rows = table(*headings, no_wrap=True)
     for signal in signals:
         row = [signal.signal, str(signal.compared), str(signal.different)]
         if signal.first is not None and signal.largest_at is not None:
@@ -414,22 +414,15 @@ def _both(place: Place, unit: str) -> tuple[str, str]:
 def _count_table(loop: OpenLoop) -> Table:
     counts = _counts(loop)
     words = list(dict.fromkeys(word for row in counts.values() for word in row))
-    rows = _no_wrap(table("wrong in the log", *words))
+    rows = table("wrong in the log", *words, no_wrap=True)
     for message, row in counts.items():
         rows.add_row(message, *(str(row.get(word, "")) for word in words))
     return rows
 
 
-def _no_wrap(rows: Table) -> Table:
-    """Set every column to the width of the longest cell."""
-    for column in rows.columns:
-        column.no_wrap = True
-    return rows
-
-
 def _list(console: Console, listed: list[Gap], gaps: Path | None) -> None:
     console.print()
-    rows = _no_wrap(table("tick", "at s", "message", "what"))
+    rows = table("tick", "at s", "message", "what", no_wrap=True)
     rows.columns[0].justify = "right"
     for column in rows.columns[2:]:
         column.justify = "left"

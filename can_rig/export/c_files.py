@@ -39,7 +39,7 @@ from can_rig.export.source import (
     snake,
 )
 from can_rig.export.subset import EXTREMES, PLAIN_REAL, ROUNDED_EXACTLY, Program, Typed, called
-from firmware_model.discretisation.filters import KEYWORDS
+from firmware_model.discretisation.filters import KEYWORDS, literal
 from firmware_model.discretisation.schedules import schedule
 from firmware_model.discretisation.tables import build
 from firmware_model.law.layout import Table, precision_of
@@ -77,10 +77,7 @@ def number(value: float, precision: Precision) -> str:
     if math.isinf(value):
         sign = "-" if value < 0.0 else ""
         return f"{sign}INFINITY" if precision == "float32" else f"{sign}(double)INFINITY"
-    if precision == "float32":
-        shortest = str(np.float32(value))
-        return f"{shortest if '.' in shortest or 'e' in shortest else shortest + '.0'}f"
-    return repr(float(value))
+    return literal(value, precision)
 
 
 IN_ASCII: Final = {

@@ -50,16 +50,7 @@ def load_dbc(path: str | Path, strict: bool = True) -> Database:
     Raises:
         DbcError: an unreadable file, or a file other than a DBC.
     """
-    try:
-        loaded = cantools.database.load_file(path, database_format="dbc", strict=strict)
-    except OSError as error:
-        raise DbcError(f"{path}: cannot be read: {error.strerror}") from error
-    except Exception as error:  # any exception: a damaged file confuses cantools
-        said = advice(Path(path).read_text("cp1252", "replace"), error)
-        raise DbcError(f"{path}: not a DBC that can be loaded: {said}") from error
-    if not isinstance(loaded, Database):
-        raise DbcError(f"{path}: holds no CAN messages; it must be a DBC")
-    return loaded
+    return _load(path, "dbc", strict)
 
 
 def advice(text: str, error: BaseException) -> str:
@@ -162,7 +153,7 @@ def load_database(path: str | Path, strict: bool = True) -> Database:
         DbcError: an unreadable or invalid file.
     """
     kind = _format_of(Path(path))
-    loaded = load_dbc(path) if kind == "dbc" and strict else _load(path, kind, strict)
+    loaded = _load(path, kind, strict, mended=not strict)
     for message in loaded.messages:
         names = [signal.name for signal in message.signals]
         if not all(isinstance(name, str) for name in (message.name, *names)):
@@ -205,22 +196,21 @@ def _tell_apart(message: Message, strict: bool) -> None:
     message.refresh(strict)
 
 
-def _load(path: str | Path, kind: str, strict: bool) -> Database:
-    text = ""
+def _load(path: str | Path, kind: str, strict: bool, mended: bool = False) -> Database:
+    text, encoding = "", "cp1252" if kind in ("sym", "dbc") else "utf-8"
     try:
-        encoding = "cp1252" if kind in ("sym", "dbc") else "utf-8"
         if kind == "dbc":
-            text = _mended(Path(path).read_text(encoding, "replace"))
+            text = Path(path).read_text(encoding, "replace" if mended else "strict")
+            text = _mended(text) if mended else text
             loaded = cantools.database.load_string(text, kind, strict=strict)
         else:
             loaded = cantools.database.load_file(path, kind, encoding, strict=strict)
     except OSError as error:
         raise DbcError(f"{path}: cannot be read: {error.strerror}") from error
-    except Exception as error:  # the XML readers raise any exception for a damaged file
+    except Exception as error:  # a damaged file confuses cantools: any exception
         said = advice(text, error) if kind == "dbc" else one_line(error)
-        raise DbcError(f"{path}: cannot be loaded: {said}") from error
-    if not isinstance(loaded, Database):
-        raise DbcError(f"{path}: holds no CAN messages")
+        raise DbcError(f"{path}: cannot be loaded as {kind.upper()}: {said}") from error
+    assert isinstance(loaded, Database)  # each of these kinds holds CAN messages
     return loaded
 
 

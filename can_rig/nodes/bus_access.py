@@ -76,11 +76,10 @@ def no_progress() -> Iterator[OnTick]:
 class Throttled:
     """Calls ``report(tick)`` at most every 0.1 s; called each tick, it rarely reads the clock."""
 
-    def __init__(self, report: OnTick, clock: Clock = SYSTEM_CLOCK) -> None:
+    def __init__(self, report: OnTick) -> None:
         self._report = report
-        self._clock = clock
         self._countdown = self._stride = 64
-        self._last_ns = clock.now_ns()
+        self._last_ns = SYSTEM_CLOCK.now_ns()
 
     def __call__(self, tick: int) -> None:
         """Note that ``tick`` ticks are done."""
@@ -88,7 +87,7 @@ class Throttled:
         if self._countdown:
             return
         self._countdown = self._stride
-        now_ns = self._clock.now_ns()
+        now_ns = SYSTEM_CLOCK.now_ns()
         if now_ns - self._last_ns >= PROGRESS_EVERY_S * NS_PER_S:
             self._last_ns = now_ns
             self._report(tick)

@@ -93,12 +93,7 @@ def with_files(scenario: Scenario) -> Iterator[object]:
         yield from state_of_file(file)
 
 
-def undisturbed_with_files(scenario: Scenario) -> Iterator[object]:
-    """The sources of the part that several runs share."""
-    return with_files(scenario.undisturbed)
-
-
-@remembered(4, by=undisturbed_with_files)
+@remembered(4, by=lambda scenario: with_files(scenario.undisturbed))
 def common(scenario: Scenario) -> Common:
     """The common part of ``scenario`` and all scenarios with an equal ``undisturbed`` scenario.
 

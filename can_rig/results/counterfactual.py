@@ -86,12 +86,14 @@ def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
         return Counterfactual(*(values[first:ticks] for values in _long(scenario)))
     loop = loop_of(scenario)
     loop.run(first + rows)
-    trace = loop.trace
-    measured = measured_in(scenario, loop)
-    force = np.where(np.isnan(measured), np.nan, trace.command_2)
-    car = car_output(scenario, measured, trace.measurement)
-    signals_found = measured, force, car, trace.measurement
-    return Counterfactual(*(values[first:ticks] for values in signals_found))
+    return _of_loop(scenario, loop, slice(first, ticks), first)
+
+
+def _of_loop(scenario: Scenario, loop: Simulation, rows: slice, first: int) -> Counterfactual:
+    """The signals of some rows of a loop, which begin with the tick ``first``."""
+    measured, output = measured_in(scenario, loop)[rows], loop.trace.measurement[rows]
+    force = np.where(np.isnan(measured), np.nan, loop.trace.command_2[rows])
+    return Counterfactual(measured, force, car_output(scenario, measured, output, first), output)
 
 
 @remembered(4, by=with_files)
@@ -99,15 +101,9 @@ def _long(scenario: Scenario) -> Counterfactual:
     """A whole run; its loop is dropped."""
     columns = Counterfactual(*(paged.empty(scenario.ticks) for _ in Counterfactual._fields))
     for ticks, loop, rows in blocks_of(scenario):
-        trace, some = loop.trace, slice(ticks.start, ticks.stop)
-        measured = measured_in(scenario, loop)[rows]
-        columns.dstar_mps2[some] = measured
-        columns.force_difference_n[some] = np.where(
-            np.isnan(measured), np.nan, trace.command_2[rows]
-        )
-        output = trace.measurement[rows]
-        columns.car_mps2[some] = car_output(scenario, measured, output, ticks.start)
-        columns.output_mps2[some] = output
+        found = _of_loop(scenario, loop, rows, ticks.start)
+        for column, values in zip(columns, found, strict=True):
+            column[ticks.start : ticks.stop] = values
     return columns
 
 

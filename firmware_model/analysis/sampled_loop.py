@@ -136,7 +136,7 @@ class SampledLoop:
         a, b, rows = lumped(self.a, self.b, np.vstack([self.c, self.h]))
         return replace(self, a=a, b=b, c=rows[0], h=rows[1:])
 
-    def poles(self, gain: float = 1.0) -> ComplexArray:
+    def poles(self) -> ComplexArray:
         """Eigenvalues of the lumped closed loop that decide its stability.
 
         A dead channel can leave an integrator of the controller open: the integrator of C after the
@@ -145,7 +145,7 @@ class SampledLoop:
         nor reaches the plant, so the result omits its eigenvalue. "Does not reach" is a question
         about exact zeros of the matrix.
         """
-        a = self.lumped.closed(gain)
+        a = self.lumped.closed()
         reaches = reaching(a, self.lumped.c)
         if reaches.all():
             return np.linalg.eigvals(a).astype(np.complex128)
@@ -154,9 +154,9 @@ class SampledLoop:
         idle = idle[np.abs(idle - 1.0) > OPEN_INTEGRATOR]
         return np.concatenate([acting, idle]).astype(np.complex128)
 
-    def spectral_radius(self, gain: float = 1.0) -> float:
+    def spectral_radius(self) -> float:
         """Largest magnitude of a pole: what is left, or grown, of a disturbance a tick later."""
-        return float(np.abs(self.poles(gain)).max())
+        return float(np.abs(self.poles()).max())
 
     def loop_gain(self, z: ComplexArray) -> ComplexArray:
         """L(z) = -c(zI - A)⁻¹b from measurement to measurement, for ``z`` of shape (m,).

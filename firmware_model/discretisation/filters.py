@@ -182,7 +182,7 @@ def c_source(
         "name": name,
         "guard": name.upper(),
         "real": "float" if precision == "float32" else "double",
-        "zero": _literal(0.0, precision),
+        "zero": literal(0.0, precision),
         "sections": str(len(coefficients)),
         "rows": "\n".join(_row(row, precision) for row in coefficients),
         "what": "\n * ".join(textwrap.wrap(what, 96)),
@@ -191,10 +191,10 @@ def c_source(
 
 
 def _row(row: FloatArray, precision: Precision) -> str:
-    return f"    {{{', '.join(_literal(float(each), precision) for each in row)}}},"
+    return f"    {{{', '.join(literal(float(each), precision) for each in row)}}},"
 
 
-def _literal(value: float, precision: Precision) -> str:
+def literal(value: float, precision: Precision) -> str:
     """The shortest literal with exactly this value."""
     if precision == "float64":
         return repr(value)

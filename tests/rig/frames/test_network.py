@@ -116,7 +116,7 @@ BAD = {
     "mode words": ('0 "STANDBY" 1 "RUN" 2 "BLIND"', '0 "STANDBY"', "Mode must have a value table"),
     "overlap": ("FaultState : 14|2", "FaultState : 12|2", "overlapping"),
     "no sender": ("DSTAR_FEEDBACK: 8 PLANT", "DSTAR_FEEDBACK: 8 Vector__XXX", "0 senders"),
-    "not a DBC": ("BU_:", "BU", "not a DBC that can be loaded"),
+    "not a DBC": ("BU_:", "BU", "cannot be loaded as DBC"),
 }  # fmt: skip
 
 
