@@ -236,7 +236,8 @@ def confirm_or_believe(table: Table, state: layout.State) -> None:
     """Confirm the lost share of channel 1, or believe the echo that contradicts the share.
 
     An echo that d̂ has contradicted is believed only if it explains d̂ half as well as a loss;
-    otherwise the loss stays a suspicion.
+    otherwise the loss stays a suspicion. Against a believed echo no such loss is known: only the
+    signature of a wrong echo ends the belief.
     """
     told, echo = table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]
     share = lost_share(table.sequential_test, state.sequential_test)
@@ -247,6 +248,9 @@ def confirm_or_believe(table: Table, state: layout.State) -> None:
     row, half = state.hypotheses.signatures.rows[TORQUE_ECHO_ROW].candidate, real(0.5, share)
     if not contradicted:
         confirm(table, state, share)
+    elif echo.believed == 1:
+        restart_test(table, state)
+        state.fault_state = CLEAR
     elif echo.doubted == 0 or row.evidence > half * state.sequential_test.evidence:
         believe_torque_echo(table, state)
         transfer_to_losses(table, state)

@@ -17,7 +17,8 @@ A motor that still obeys, with an offset, a drift or a delay, can make up for it
 over the part that F̂ carries, as fast as two lags in a row. A motor obeys if the changes of e differ
 from the changes of the modelled output. At the limit of its command the motor has no reserve. By
 the time the law believes the echo, C has made up for a slow error already, by the same two lags: F̂
-begins without that part (``told_handed``).
+begins without that part (``told_handed``). Below a quarter of the output an error is no fault, but
+C makes up for the error all the same; a believed error is over below a sixteenth, or within noise.
 
 Between two echoes e stays. An echo that stays away for long gives no information.
 """
@@ -112,8 +113,9 @@ class State(Struct):
 
 
 @firmware
-def take_echo(constants: Constants, state: State, own: Echo, echo: float, age: float) -> None:
-    """Compare an echo with the modelled output at the time of its sample."""
+def take_echo(constants: Constants, state: State, which: int, echo: float, age: float) -> None:
+    """Compare an echo of the actuator ``which`` with the modelled output at its sample's time."""
+    own = state.actuators[which]
     index = (state.index + KEPT_TICKS - int(age)) % KEPT_TICKS
     modelled, half = own.outputs[index], real(0.5, echo)
     error = modelled - echo
@@ -133,7 +135,8 @@ def take_echo(constants: Constants, state: State, own: Echo, echo: float, age: f
         own.stray = own.swing = 0.0
         own.doubted = 0
     own.good = min(own.good + 1, MAX_COUNTED) if healthy else 0
-    if works(own, constants.working):
+    hardly = real(256.0, echo) * own.off < own.power
+    if works(own, constants.working) and (hardly or own.off < constants.actuators[which].least):
         own.believed = 0
 
 
@@ -170,7 +173,7 @@ def advance_echoes(
     own.handed += constants.hand_over * (own.between - own.handed)
     told = real(0.0, u1)
     alone = echo.believed == 0 and not lost  # F̂ is at rest
-    if alone and obeys(torque, echo):
+    if alone and (echo.good > 0 or obeys(torque, echo)):
         told = echo.told
     own.told_between += constants.hand_over * (told - own.told_between)
     own.told_handed += constants.hand_over * (own.told_between - own.told_handed)

@@ -34,9 +34,9 @@ def hear(table: Table, state: layout.State, sensor: float, value: float, age_tic
     if is_damaged(state.estimator, state.echoes, state.witness, state.mismatch):
         return
     if sensor == 1.0:
-        take_echo(table.echoes, state.echoes, state.echoes.actuators[TORQUE], sample, age)
+        take_echo(table.echoes, state.echoes, TORQUE, sample, age)
     elif sensor == 2.0:
-        take_echo(table.echoes, state.echoes, state.echoes.actuators[FORCE], sample, age)
+        take_echo(table.echoes, state.echoes, FORCE, sample, age)
     elif sensor == 3.0:
         take_sample(table, state.witness.yaw_rate, sample, age)
     elif sensor == 4.0:

@@ -425,7 +425,8 @@ def clear_hypotheses(own: State) -> None:
     """Nothing is known."""
     for i in range(ROWS):
         begin(own.signatures.rows[i])
-    begin_others(own.signatures)
+    own.signatures.jump = own.signatures.commanded = 0.0
+    own.signatures.missing = own.signatures.before = 0.0
     thaw(own.frozen)
     own.frozen.measurement = own.frozen.expected = own.found_size = 0.0
     own.evidence[:] = 0.0
