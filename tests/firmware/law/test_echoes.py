@@ -237,6 +237,22 @@ def test_a_faulty_motor_that_moves_has_lost_no_share_of_its_command(acts):
     assert np.abs(np.diff(force)).max() < 0.2 * whole
 
 
+@pytest.mark.parametrize(("left", "off"), [(0.8, 20.0), (0.7, 25.0)])
+def test_a_loss_behind_a_believed_echo_ends_no_belief(left, off):
+    """The motor says that it is off; of what it turns, a part more is missing in the car."""
+
+    def acts(torque: float, force: float, _k: int) -> tuple[float, float]:
+        return left * (torque - off), force
+
+    def hears(outputs: Any, _commands: Any, k: int) -> Any:
+        return outputs if k < FAULT else (outputs[0] / left, outputs[1])
+
+    found = verdicts(drive(table_of(), acts, hears, ticks=FAULT + 130))
+    believed = found.index(Verdict.TORQUE_LOST)
+    assert believed < FAULT + 30
+    assert set(found[believed:]) == {Verdict.TORQUE_LOST}
+
+
 def test_an_echo_that_contradicts_a_confirmed_loss_takes_over_without_a_jump():
     def comes_back(torque: float, force: float, k: int) -> tuple[float, float]:
         return 0.0 if k < 150 else torque - 25.0, force
