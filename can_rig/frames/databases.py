@@ -200,7 +200,7 @@ def _load(path: str | Path, kind: str, strict: bool, mended: bool = False) -> Da
     text, encoding = "", "cp1252" if kind in ("sym", "dbc") else "utf-8"
     try:
         if kind == "dbc":
-            text = Path(path).read_text(encoding, "replace" if mended else "strict")
+            text = Path(path).read_text(encoding, "replace")
             text = _mended(text) if mended else text
             loaded = cantools.database.load_string(text, kind, strict=strict)
         else:

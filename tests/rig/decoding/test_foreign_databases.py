@@ -45,6 +45,14 @@ def written(folder: Path, text: str, name: str = "a.dbc") -> Path:
     return path
 
 
+@pytest.mark.parametrize("strict", [True, False])
+def test_a_dbc_of_another_encoding_is_loaded(tmp_path, strict):
+    """A byte that cp1252 lacks, as many a UTF-8 text has, stands in a unit or comment."""
+    path = written(tmp_path, TWICE.replace('"" A', '"\u4e01\u010d" A', 1))
+    assert b"\x81\xc4\x8d" in path.read_bytes()
+    assert [message.frame_id for message in load_database(path, strict).messages] == [256, 257, 258]
+
+
 def test_two_messages_of_one_name_are_two_messages(tmp_path):
     database = load_database(written(tmp_path, TWICE))
     frames = [frame(256, b"\5\0"), frame(257, b"\7\1"), frame(258, b"\1"), frame(256, b"\6\0")]
