@@ -197,7 +197,7 @@ def _row(row: FloatArray, precision: Precision) -> str:
 def literal(value: float, precision: Precision) -> str:
     """The shortest literal with exactly this value."""
     if precision == "float64":
-        return repr(value)
+        return repr(float(value))  # NumPy names its own types in repr
     shortest = str(np.float32(value))
     return f"{shortest if '.' in shortest or 'e' in shortest else shortest + '.0'}f"
 
