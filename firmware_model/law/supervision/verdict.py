@@ -189,18 +189,14 @@ def judge(
     actuators = max(torque, force)
     most = max(actuators, sensor)
     second = max(min(torque, force), min(actuators, sensor))
-    torque_echo = own.signatures.rows[TORQUE_ECHO_ROW]
-    force_echo, told = own.signatures.rows[FORCE_ECHO_ROW], table.echoes.actuators
     if lost:
         ahead = force - max(torque, sensor) > table.hypotheses.both_lost
         if ahead and answers_no_more(own.signatures):
             own.verdict = BOTH_LOST
-    elif shows(told[FORCE], heard.actuators[FORCE]) and is_reported(force_echo, confirm, most):
+    elif is_reported(table, own, heard, FORCE_ECHO_ROW, most):
         find_by_echo(table, own, known, heard, FORCE_ECHO_ROW)
-    elif (
-        shows(told[TORQUE], heard.actuators[TORQUE])
-        and is_reported(torque_echo, confirm, most)
-        and not says_lost(told[TORQUE], heard.actuators[TORQUE])
+    elif is_reported(table, own, heard, TORQUE_ECHO_ROW, most) and not says_lost(
+        table.echoes.actuators[TORQUE], heard.actuators[TORQUE]
     ):
         find_by_echo(table, own, known, heard, TORQUE_ECHO_ROW)
     elif world > confirm and world >= most and not apart:
@@ -283,13 +279,15 @@ def is_clear(table: Table, own: State, most: float, second: float) -> bool:
 
 
 @firmware
-def is_reported(row: signatures.One, confirm: float, most: float) -> bool:
-    """Whether the echo of an actuator explains d̂ at least half as well as any other fault.
+def is_reported(table: Table, own: State, heard: echoes.State, i: int, most: float) -> bool:
+    """Whether the echo of row ``i`` explains d̂ at least half as well as any other fault.
 
     The echo would have to be wrong at the same time as another fault, and in the same way.
     """
-    evidence, half = row.candidate.evidence, real(0.5, most)
-    reported: bool = evidence > confirm and evidence > half * most
+    evidence, half = own.signatures.rows[i].candidate.evidence, real(0.5, most)
+    explains = evidence > table.decision.confirm and evidence > half * most
+    which = table.hypotheses.signatures.rows[i].echo
+    reported: bool = explains and shows(table.echoes.actuators[which], heard.actuators[which])
     return reported
 
 
