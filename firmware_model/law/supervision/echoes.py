@@ -135,8 +135,8 @@ def take_echo(constants: Constants, state: State, which: int, echo: float, age: 
         own.stray = own.swing = 0.0
         own.doubted = 0
     own.good = min(own.good + 1, MAX_COUNTED) if healthy else 0
-    hardly = real(256.0, echo) * own.off < own.power
-    if works(own, constants.working) and (hardly or own.off < constants.actuators[which].least):
+    slight = real(256.0, echo) * own.off < own.power
+    if works(own, constants.working) and (slight or own.off < constants.actuators[which].least):
         own.believed = 0
 
 

@@ -240,6 +240,12 @@ def begin_others(own: State) -> None:
             count_anew(own.rows[i].candidate)
         else:
             begin(own.rows[i])
+    forget_sums(own)
+
+
+@firmware
+def forget_sums(own: State) -> None:
+    """Forget how y followed channel 2, and the jump of the bias."""
     own.jump = own.commanded = own.missing = own.before = 0.0
 
 

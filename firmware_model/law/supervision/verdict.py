@@ -67,6 +67,7 @@ from firmware_model.law.supervision.signatures import (
     begin,
     begin_all,
     begin_others,
+    forget_sums,
     is_informed,
 )
 from firmware_model.law.supervision.witness import acquits, contradicts, unsure
@@ -423,8 +424,7 @@ def clear_hypotheses(own: State) -> None:
     """Nothing is known."""
     for i in range(ROWS):
         begin(own.signatures.rows[i])
-    own.signatures.jump = own.signatures.commanded = 0.0
-    own.signatures.missing = own.signatures.before = 0.0
+    forget_sums(own.signatures)
     thaw(own.frozen)
     own.frozen.measurement = own.frozen.expected = own.found_size = 0.0
     own.evidence[:] = 0.0

@@ -239,7 +239,7 @@ def test_a_faulty_motor_that_moves_has_lost_no_share_of_its_command(acts):
 
 @pytest.mark.parametrize(("left", "off"), [(0.8, 20.0), (0.7, 25.0)])
 def test_a_loss_behind_a_believed_echo_ends_no_belief(left, off):
-    """The motor says that it is off; of what it turns, a part more is missing in the car."""
+    """The echo shows the motor's offset, but the car misses a part of the reported torque too."""
 
     def acts(torque: float, force: float, _k: int) -> tuple[float, float]:
         return left * (torque - off), force
@@ -376,7 +376,7 @@ def test_a_motor_that_drifts_and_obeys_makes_up_for_its_own_drift():
 
 @pytest.mark.compiled
 def test_a_motor_that_is_stuck_makes_up_for_nothing():
-    """The commands are those of a law without the hand-over, but for the first of the error."""
+    """A law without the hand-over commands the same, within the error before the fault shows."""
 
     def stuck(_torque: float, force: float, _k: int) -> tuple[float, float]:
         return 30.0, force
