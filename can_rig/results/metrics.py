@@ -238,7 +238,7 @@ def _end(time_ns: FloatArray, part: Mask, wanted_s: float) -> Mask:
         return part
     first_ns = time_ns[np.argmax(part)]
     last_ns = time_ns[len(part) - 1 - np.argmax(part[::-1])]
-    length_ns = min(round(wanted_s * 1e9), int(last_ns - first_ns) // 2)
+    length_ns = round(min(wanted_s * 1e9, int(last_ns - first_ns) // 2))
     end: Mask = part & (time_ns >= last_ns - length_ns)
     return end
 

@@ -351,7 +351,7 @@ def _speed(axis: Axes, signals: Signals) -> None:
         return
     own = axis.twinx()
     own.plot(*thinned(signals.time_s, speed), color=style.INK, lw=0.9, ls=style.DASHED)
-    own.set_ylim(0.0, 1.15 * float(speed.max()))
+    own.set_ylim(0.0, 1.15 * float(speed.max()) or 1.0)  # a car that stands
     own.tick_params(axis="y", direction="in", pad=-16, labelsize=7)
     own.annotate(
         "speed in m/s, dashed", (0.0, 1.0), (4, 4), xycoords="axes fraction",
