@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 
-from can_rig import paged
 from can_rig.assessment.limitations import control_authority
 from can_rig.drawing import style
 from can_rig.drawing.names import Names, disturbance_in_words, fault_in_words, names_of, ticks_text
@@ -28,6 +27,7 @@ from can_rig.scenario.driving import at_speed_of
 from can_rig.scenario.fault_settings import SENSOR
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
+from can_rig.storage import paged
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
 
