@@ -38,7 +38,6 @@ from can_rig.campaigns.statistics import Summary
 from can_rig.campaigns.workers import in_processes, serially
 from can_rig.decoding.decode import decode_log
 from can_rig.errors import LogError, RigError, ScenarioError, in_python
-from can_rig.files import atomic
 from can_rig.logs.frames import window_of
 from can_rig.logs.reading import read_log
 from can_rig.replaying.estimator import Replayed, replay_drive, write
@@ -49,6 +48,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.from_python import kind_of, settings_of
 from can_rig.scenario.loading import Changes, written_by
 from can_rig.scenario.settings import Scenario
+from can_rig.storage.files import atomic
 from can_rig.views.controllers_compared import CASES, Comparison, compare as compare_controllers
 from can_rig.views.diff import Difference, compare as difference_of
 from can_rig.views.log_statistics import LogStatistics

@@ -26,8 +26,8 @@ from can_rig.campaigns.rows import (
 from can_rig.campaigns.statistics import margin_column
 from can_rig.campaigns.workers import Compute, versions
 from can_rig.errors import LogError, RunFolderError, require
-from can_rig.files import atomic, tidy
-from can_rig.folders import Kind, NewFolder, default_folder, remove
+from can_rig.storage.files import atomic, tidy
+from can_rig.storage.folders import Kind, NewFolder, default_folder, remove
 
 TABLE, PLAN, BLOCKS = "runs.parquet", "campaign.json", "blocks"
 SUMMARY, PICTURE, PAGE = "summary.json", "report.png", "report.html"

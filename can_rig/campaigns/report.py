@@ -34,7 +34,7 @@ from can_rig.campaigns.statistics import (
 from can_rig.drawing import style
 from can_rig.drawing.html import Code, page, table
 from can_rig.drawing.names import CAR, Names, in_words, names_of
-from can_rig.files import atomic
+from can_rig.storage.files import atomic
 
 MOST_METRICS: Final = 4
 MOST_AXES: Final = 6

@@ -12,8 +12,8 @@ from can_rig.campaigns.requirements import Requirement, margin
 from can_rig.campaigns.settings import SCENARIO, Scalar
 from can_rig.drawing.names import unit_of
 from can_rig.errors import RigError, ScenarioError, one_line
-from can_rig.files import atomic
 from can_rig.results.metrics import metrics_of
+from can_rig.storage.files import atomic
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -11,8 +11,8 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.options import force_option, json_option, out_option, set_option
 from can_rig.cli.output import counting, json_line, say, table, wide
 from can_rig.errors import ScenarioError
-from can_rig.files import atomic, refuse_picture
 from can_rig.scenario.loading import change
+from can_rig.storage.files import atomic, refuse_picture
 from can_rig.views.controllers_compared import CASES, Compared, compare, known_controllers
 
 

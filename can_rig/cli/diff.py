@@ -9,9 +9,9 @@ from rich.table import Table
 
 from can_rig.cli.options import force_option, json_option, out_option, window_options
 from can_rig.cli.output import json_line, table, wide
-from can_rig.files import atomic, refuse_picture
 from can_rig.logs.frames import window_of
 from can_rig.scenario.loading import read
+from can_rig.storage.files import atomic, refuse_picture
 from can_rig.views.diff import Difference, SettingDifference, compare, tolerances_of, written
 from can_rig.views.signal_table import SignalTable, read_table
 

@@ -7,8 +7,8 @@ import click
 from can_rig.cli.options import force_option, out_option, window_options
 from can_rig.cli.output import say
 from can_rig.errors import LogError
-from can_rig.files import atomic, refuse_existing
 from can_rig.results.source import read_run
+from can_rig.storage.files import atomic, refuse_existing
 
 
 @click.command("film")

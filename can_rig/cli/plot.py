@@ -13,7 +13,7 @@ from can_rig.cli.output import note, reading, say
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.message_decoder import MessageDecoder
 from can_rig.errors import DbcError, LogError
-from can_rig.files import atomic, refuse_picture
+from can_rig.storage.files import atomic, refuse_picture
 from can_rig.views.pictures import plot_page
 from can_rig.views.signal_table import scenario_of
 

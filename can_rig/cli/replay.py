@@ -30,7 +30,6 @@ from can_rig.cli.options import (
 from can_rig.cli.output import counting, json_line, note, reading, say, table, tell, wide
 from can_rig.cli.run import closing_table
 from can_rig.errors import INTERRUPTED, LogError
-from can_rig.files import atomic, refuse_existing
 from can_rig.logs.frames import ALL, NS_PER_S, Frames, Window, window_of
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
@@ -41,6 +40,7 @@ from can_rig.replaying.replay import OpenLoop, Place, SignalComparison
 from can_rig.replaying.rig_frames import recorded
 from can_rig.results.source import Source, log_path, only_channel, source_of
 from can_rig.scenario.build import network_of
+from can_rig.storage.files import atomic, refuse_existing
 
 
 @click.command("replay")

@@ -12,8 +12,8 @@ from can_rig.cli.options import force_option, json_option
 from can_rig.cli.output import json_line, note, say, table, wide
 from can_rig.decoding.decode import Decoder
 from can_rig.errors import RigError
-from can_rig.files import atomic, refuse_picture
 from can_rig.results.source import source_of
+from can_rig.storage.files import atomic, refuse_picture
 from can_rig.views.log_statistics import LogStatistics
 
 USUAL_BITRATE: Final = 500_000

@@ -11,7 +11,7 @@ from can_rig.assessment.tuning.report import as_dict, headings, options, rows, w
 from can_rig.assessment.tuning.search import Tunings, tune
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import json_line, progress, say, show, table
-from can_rig.files import atomic, refuse_existing
+from can_rig.storage.files import atomic, refuse_existing
 
 PICTURE = "tuning.png"
 

@@ -14,9 +14,9 @@ from can_rig.cli.decoding import Asked, decoding_options
 from can_rig.cli.options import force_option, out_option
 from can_rig.cli.output import note, say
 from can_rig.errors import LogError
-from can_rig.files import atomic, refuse_existing
 from can_rig.logs.frames import ALL
 from can_rig.results.source import read_run
+from can_rig.storage.files import atomic, refuse_existing
 
 if TYPE_CHECKING:
     from can_rig.drawing.bench import Recording

@@ -24,7 +24,6 @@ import numpy as np
 from cantools.database.can import Database, Message as DbcMessage
 from numpy.typing import NDArray
 
-from can_rig import paged
 from can_rig.decoding.j1939 import (
     GROUP_BIT,
     Transport,
@@ -38,6 +37,7 @@ from can_rig.errors import DbcError
 from can_rig.frames.databases import load_database
 from can_rig.logs.frames import ERROR, EXTENDED, Frames, concatenate, window_of
 from can_rig.logs.reading import read_log
+from can_rig.storage import paged
 
 Databases = Database | Sequence[tuple[str | None, Database]]
 """One database for all buses; or several, each for the named bus or, with None, for all buses."""

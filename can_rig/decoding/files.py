@@ -13,9 +13,9 @@ import numpy as np
 from can_rig.decoding.decode import Databases, Decoder
 from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.errors import LogError
-from can_rig.files import atomic, refuse_existing
-from can_rig.folders import Kind, refuse_folder, whole_folder
 from can_rig.logs.frames import Frames, Log, concatenate
+from can_rig.storage.files import atomic, refuse_existing
+from can_rig.storage.folders import Kind, refuse_folder, whole_folder
 
 _WRITERS: Final = {
     ".csv": "tables.WideCsv",

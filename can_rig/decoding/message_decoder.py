@@ -21,12 +21,12 @@ from cantools.database.can import Message as DbcMessage, Signal
 from cantools.database.conversion import BaseConversion, LinearIntegerConversion
 from numpy.typing import NDArray
 
-from can_rig import paged
 from can_rig.errors import DbcError
 from can_rig.frames.codec import COUNTERS, FRAME_BYTES, ROLES, SPEED
 from can_rig.frames.databases import attribute
 from can_rig.frames.frame_columns import crcs
 from can_rig.logs.frames import CLASSIC_BYTES, NS_PER_S, REMOTE, Frames, UInt8s
+from can_rig.storage import paged
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from can_rig.decoding.files import INDEX, Contents
 from can_rig.decoding.message_decoder import MessageColumns
-from can_rig.files import FileNames
 from can_rig.logs.frames import NS_PER_S
+from can_rig.storage.files import FileNames
 
 TIME_S: Final = "time_s"
 _TYPES: Final = {"i": pa.int64(), "u": pa.uint64(), "f": pa.float64(), "O": pa.string()}

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig import paged
+from can_rig.storage import paged
 from firmware_model.law.structs import FloatArray
 
 MAX_POINTS: Final = 20_000

@@ -23,10 +23,10 @@ from can_rig.export.network_code import NetworkCode, sensors_of, signal_comment
 from can_rig.export.prefix import with_prefix
 from can_rig.export.provenance import as_bytes, with_provenance
 from can_rig.export.self_test import DATA, self_test_data
-from can_rig.folders import Kind, refuse_folder, whole_folder
 from can_rig.scenario.build import network_of, require_ours
 from can_rig.scenario.controls import controls
 from can_rig.scenario.settings import Scenario
+from can_rig.storage.folders import Kind, refuse_folder, whole_folder
 from firmware_model.law.structs import Precision
 
 HEADER: Final = "firmware.h"

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from can_rig.errors import ExportError, LogError
-from can_rig.files import atomic
+from can_rig.storage.files import atomic
 
 FLAGS: Final = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
 WARNINGS: Final = (

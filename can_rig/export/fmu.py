@@ -14,8 +14,8 @@ from xml.etree import ElementTree as Xml
 from can_rig.errors import ExportError
 from can_rig.export.compiler import FLAGS, built, host_compiler
 from can_rig.export.law import NODE, support
-from can_rig.files import atomic
 from can_rig.scenario.settings import Scenario
+from can_rig.storage.files import atomic
 
 TYPES_3: Final = (
     "Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64", "Boolean",

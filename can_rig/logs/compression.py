@@ -10,7 +10,7 @@ from typing import IO, Final
 
 import deflate
 
-from can_rig.files import atomic
+from can_rig.storage.files import atomic
 
 MEMBER_BYTES: Final = 1 << 20
 """Text of a member of a file: gzip reads its members in a row, and needs the memory of one."""

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig import paged
 from can_rig.errors import LogError
 from can_rig.logs.compression import open_text, stored
+from can_rig.storage import paged
 
 PlantSignals = dict[str, NDArray[np.float64]]
 

@@ -19,7 +19,6 @@ import numpy as np
 from can.util import channel2int
 
 from can_rig.errors import LogError
-from can_rig.files import atomic, refuse_existing
 from can_rig.logs.frames import (
     CLASSIC_BYTES,
     ERROR,
@@ -32,6 +31,7 @@ from can_rig.logs.frames import (
     Log,
 )
 from can_rig.logs.reading import WRITTEN, format_of
+from can_rig.storage.files import atomic, refuse_existing
 
 _US: Final = 1_000
 _BUSES: Final = 255

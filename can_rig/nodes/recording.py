@@ -21,12 +21,12 @@ from can.io import CanutilsLogWriter
 from numpy.typing import NDArray
 
 from can_rig.errors import RunFolderError
-from can_rig.files import refuse_existing
-from can_rig.folders import Kind, NewFolder
 from can_rig.frames.codec import FRAME_BYTES
 from can_rig.frames.frame_columns import UInt8s
 from can_rig.logs.plant_signals import plant_signals_path
 from can_rig.nodes.bus_access import OnTick
+from can_rig.storage.files import refuse_existing
+from can_rig.storage.folders import Kind, NewFolder
 from firmware_model.compiled import compiled
 from firmware_model.law.structs import FloatArray
 

@@ -11,7 +11,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig import paged
 from can_rig.controllers.protocol import ages_of
 from can_rig.frames.codec import FRAME_BYTES
 from can_rig.frames.frame_columns import UInt8s, payloads
@@ -28,6 +27,7 @@ from can_rig.plant.witnesses import Sensed, hearing_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.fault_settings import Outage
 from can_rig.scenario.settings import Scenario
+from can_rig.storage import paged
 from firmware_model.law.structs import BoolArray, FloatArray
 
 

@@ -20,7 +20,6 @@ from aiohttp import WSCloseCode, web
 
 from can_rig.decoding.trace import Kinds, of_messages
 from can_rig.errors import RigError
-from can_rig.files import atomic
 from can_rig.frames import operator_frames
 from can_rig.frames.databases import load_database, shipped_dbc
 from can_rig.nodes.operating import done, touches
@@ -32,6 +31,7 @@ from can_rig.results.signals import read_signals
 from can_rig.results.source import reference_csv, source_of
 from can_rig.scenario.build import dbc_of, network_of
 from can_rig.scenario.loading import keys_of, written
+from can_rig.storage.files import atomic
 from firmware_model.law.structs import FloatArray
 
 LAMPS_EVERY: Final = 6

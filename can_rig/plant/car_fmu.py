@@ -11,7 +11,6 @@ from can_rig.drawing.names import names_of
 from can_rig.export.c_files import number, plain
 from can_rig.export.fmu import TICKS, Model, Variable, name_of
 from can_rig.export.law import support
-from can_rig.files import atomic
 from can_rig.frames.codec import AGE
 from can_rig.frames.frame_columns import quantised
 from can_rig.plant.actuators import actuator_limits
@@ -24,6 +23,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.fault_settings import CHANNELS, FaultSettings
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
+from can_rig.storage.files import atomic
 
 CAR: Final = "car"
 SHARES: Final = ("left_1", "left_2")

@@ -9,7 +9,6 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from can_rig import paged
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.plant.changing_car import linear_plant, plant_of
@@ -22,6 +21,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
+from can_rig.storage import paged
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import Simulation
 from firmware_model.law.structs import BoolArray, FloatArray

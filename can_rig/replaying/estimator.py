@@ -30,7 +30,6 @@ from numpy.typing import NDArray
 from can_rig.decoding.files import Contents, output
 from can_rig.decoding.message_decoder import MessageColumns, SignalColumn, byte_column
 from can_rig.errors import LogError, ScenarioError
-from can_rig.files import PICTURES, atomic, refuse_existing
 from can_rig.logs.frames import NS_PER_S
 from can_rig.replaying.recorded_drive import Buses, Drive, recorded_drive
 from can_rig.results.source import Reading, Source
@@ -45,6 +44,7 @@ from can_rig.scenario.settings import (
     NetworkSettings,
     Scenario,
 )
+from can_rig.storage.files import PICTURES, atomic, refuse_existing
 from firmware_model.firmware import Firmware
 from firmware_model.law.status import FaultState, Mode, Verdict
 from firmware_model.law.structs import FloatArray

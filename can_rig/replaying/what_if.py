@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 
 from can_rig.errors import LogError, ScenarioError
-from can_rig.files import atomic
 from can_rig.logs.frames import ALL, Frames, Window
 from can_rig.nodes.bus_access import Progress, StopRequest, no_progress
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
@@ -19,6 +18,7 @@ from can_rig.results.signals import Signals, read_signals, signals_of, with_plan
 from can_rig.results.source import Reading, Source, reference_csv, source_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import ReferenceSettings, Scenario
+from can_rig.storage.files import atomic
 from can_rig.views.diff import Difference, compare
 from can_rig.views.pictures import draw_difference
 from can_rig.views.signal_table import SignalTable, table_of

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig import paged
 from can_rig.logs.columns import APPLIED, TRUE_OUTPUT
 from can_rig.plant.actuators import Actuator
 from can_rig.plant.changing_car import plant_of
@@ -20,6 +19,7 @@ from can_rig.scenario.fault_settings import SENSOR
 from can_rig.scenario.reference import refuse_saturation
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
+from can_rig.storage import paged
 from firmware_model.analysis.hardware import LATE, distorted
 from firmware_model.analysis.simulation import Simulation
 from firmware_model.law.structs import FloatArray

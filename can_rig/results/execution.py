@@ -16,8 +16,6 @@ from can_rig.buses.bus import in_one_process
 from can_rig.controllers.making import controller_of, peer_of
 from can_rig.controllers.protocol import InNode, Supplied
 from can_rig.errors import INTERRUPTED, BusError, RigError, one_line
-from can_rig.files import atomic
-from can_rig.folders import NewFolder, default_folder
 from can_rig.frames.network import Network
 from can_rig.nodes.agreement import is_shared, own_bus, require_alone
 from can_rig.nodes.bus_access import Progress, StopRequest, Throttled, no_progress
@@ -36,6 +34,8 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
 from can_rig.scenario.reference import refuse_saturation
 from can_rig.scenario.settings import ReferenceSettings, Scenario
+from can_rig.storage.files import atomic
+from can_rig.storage.folders import NewFolder, default_folder
 
 NO_BUS: Final = "none"
 """In place of a bus's name: a run within this process, without listeners."""

@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from can_rig import paged
 from can_rig.controllers.protocol import samples_in
 from can_rig.drawing.names import Names, names_of
 from can_rig.frames.frame_columns import quantised
@@ -19,6 +18,7 @@ from can_rig.scenario.controls import controls
 from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.sensor_settings import LATERAL_ACCELERATION, USUAL, YAW_RATE
 from can_rig.scenario.settings import Scenario
+from can_rig.storage import paged
 from firmware_model.design.vehicle import dstar
 from firmware_model.firmware import Firmware
 from firmware_model.law.status import Verdict

@@ -19,7 +19,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig import paged
 from can_rig.assessment.limitations import Unavoidable, can_be_told, control_authority, unavoidable
 from can_rig.drawing.names import fault_in_words, names_of, with_unit
 from can_rig.logs.columns import TRUE_OUTPUT
@@ -40,6 +39,7 @@ from can_rig.scenario.driving import at_speed_of
 from can_rig.scenario.fault_settings import CHANNELS, SENSOR, FaultSettings
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
+from can_rig.storage import paged
 from firmware_model.discretisation.targets import HOUR_S
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray
@@ -238,7 +238,7 @@ def _end(time_ns: FloatArray, part: Mask, wanted_s: float) -> Mask:
         return part
     first_ns = time_ns[np.argmax(part)]
     last_ns = time_ns[len(part) - 1 - np.argmax(part[::-1])]
-    length_ns = min(round(wanted_s * 1e9), int(last_ns - first_ns) // 2)
+    length_ns = round(min(wanted_s * 1e9, int(last_ns - first_ns) // 2))
     end: Mask = part & (time_ns >= last_ns - length_ns)
     return end
 

@@ -11,7 +11,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from can_rig import paged
 from can_rig.drawing.names import fault_label, names_of
 from can_rig.errors import RigError
 from can_rig.logs.columns import SECOND_MASS
@@ -21,6 +20,7 @@ from can_rig.results.counterfactual import applied_commands
 from can_rig.results.signals import Signals, signals_of_columns
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
+from can_rig.storage import paged
 from firmware_model.law.structs import FloatArray
 
 YAW_RATE: Final = "yaw_rate_rad_per_s"

@@ -10,10 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from can_rig import paged
 from can_rig.errors import LogError, RunFolderError, ScenarioError
-from can_rig.files import atomic
-from can_rig.folders import Kind
 from can_rig.frames.network import Network
 from can_rig.logs.compression import compress, stored
 from can_rig.logs.plant_signals import plant_signals_path
@@ -22,6 +19,9 @@ from can_rig.results.isolation import whose_fault, with_verdict
 from can_rig.results.metrics import Metrics, fault_metrics, metrics
 from can_rig.results.signals import Signals, read_signals, signals_of_columns
 from can_rig.scenario.settings import Scenario
+from can_rig.storage import paged
+from can_rig.storage.files import atomic
+from can_rig.storage.folders import Kind
 
 LOG, SIGNALS, SUMMARY = "bus.log", "signals.csv", "run.json"
 REPORT, PAGE = "report.png", "report.html"

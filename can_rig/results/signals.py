@@ -11,7 +11,6 @@ from typing import Any, Final
 import numpy as np
 from can import Message
 
-from can_rig import paged
 from can_rig.controllers.protocol import ages_of
 from can_rig.drawing.names import column_names
 from can_rig.frames.codec import NO_DECISION, WIRE_TICKS, Hearing, Receiver, tick_at, ticks_ahead
@@ -25,6 +24,7 @@ from can_rig.plant.faults.frame_faults import Delivery
 from can_rig.plant.frameless import carried
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.sensor_settings import USUAL
+from can_rig.storage import paged
 from firmware_model.analysis.simulation import Trace
 from firmware_model.law.structs import FloatArray
 

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from can_rig import paged
 from can_rig.assessment.resolve import load, load_run
 from can_rig.errors import LogError, ScenarioError
-from can_rig.files import atomic
 from can_rig.frames.network import Network
 from can_rig.logs.frames import ALL, Frames, Log, Window
 from can_rig.logs.reading import read_log
@@ -19,6 +17,8 @@ from can_rig.results.run_folder import LOG, REFERENCE, log_of, recorded_scenario
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import ReferenceSettings, Scenario
+from can_rig.storage import paged
+from can_rig.storage.files import atomic
 
 Reading = Callable[[Log], Iterator[Frames]]
 

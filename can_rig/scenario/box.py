@@ -7,11 +7,16 @@ damping and steady gain. Channels with separate transfer functions vary separate
 ``speed_2``); channels with a shared state, and unstable modes, vary together (``speed``).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Final
 
+from pydantic import ValidationError
+
+from can_rig.errors import ScenarioError
 from can_rig.scenario.plant_settings import STATE_SPACE, TRANSFER_FUNCTIONS, PlantSettings
+from can_rig.scenario.refusal import refusal
 from firmware_model.design.factors import unstable
 
 CAR: Final = (
@@ -25,6 +30,20 @@ FACTORS: Final = {
     STATE_SPACE: ("gain_1", "gain_2", "speed"),
 }
 """Factors on the given plant, 1 at the centre, by kind."""
+
+
+@contextmanager
+def plant_of_box(place: str, remedy: str) -> Iterator[None]:
+    """Refuse an impossible plant of a box in one line: ``place``, the fault, a smaller ``remedy``.
+
+    Raises:
+        ScenarioError: the plant within has a value out of bounds, or is refused.
+    """
+    try:
+        yield
+    except (ValidationError, ScenarioError) as error:
+        reason = refusal(error, PlantSettings) if isinstance(error, ValidationError) else error
+        raise ScenarioError(f"{place}: {reason}; a smaller {remedy} may help") from None
 
 
 def uncertain(settings: PlantSettings) -> dict[str, float]:

@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from can_rig import paged
 from can_rig.errors import ScenarioError
 from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.recording import Column, Recording, over_time
 from can_rig.scenario.remembered import remembered, state_of_file
 from can_rig.scenario.settings import FASTEST_MPS, DriveSettings, Scenario
+from can_rig.storage import paged
 from firmware_model.compiled import compiled
 from firmware_model.design.vehicle import LOW_SPEED_MPS, WORLD
 from firmware_model.law.schedule import MAX_SPEEDS

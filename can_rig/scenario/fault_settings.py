@@ -59,6 +59,8 @@ MAX_LATE_TICKS: Final = 1000
 Moment = Annotated[float, Field(ge=0.0, le=MAX_DURATION_S)]
 """A moment of a run, or a duration of zero or more, s."""
 
+Number = Annotated[float, Field(ge=-1e9, le=1e9)]
+
 NUMBER: Final = {
     "actuator-dead": "left",
     "sensor-dead": "left",
@@ -113,14 +115,14 @@ class FaultSettings:
     for_s: Annotated[float, Field(gt=0.0, le=MAX_DURATION_S)] | None = None
     every: Annotated[int, Field(ge=1, le=1_000_000)] = 1
     left: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    bias_mps2: float = 0.1
-    value: float | None = None
-    offset: float | None = None
-    drift_per_s: float | None = None
-    amplitude: float | None = None
+    bias_mps2: Number = 0.1
+    value: Number | None = None
+    offset: Number | None = None
+    drift_per_s: Number | None = None
+    amplitude: Number | None = None
     frequency_rad_per_s: PositiveFloat = 10.0
     rate_per_s: PositiveFloat | None = None
-    gain: float | None = None
+    gain: Number | None = None
     other: Measured | None = None
     late_ticks: Annotated[int, Field(ge=1, le=MAX_LATE_TICKS)] = 10
     state_survives: bool = False

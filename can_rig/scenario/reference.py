@@ -5,12 +5,12 @@ from typing import Final
 
 import numpy as np
 
-from can_rig import paged
 from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
 from can_rig.scenario.recording import Column, over_time
 from can_rig.scenario.remembered import remembered, state_of_file
 from can_rig.scenario.settings import MAX_REFERENCE_MPS2, ReferenceSettings, Scenario
+from can_rig.storage import paged
 from firmware_model.compiled import compiled
 from firmware_model.law.structs import FloatArray
 

@@ -257,6 +257,8 @@ MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
 MAX_REFERENCE_MPS2 = 1e6  # far beyond any frame, and with a finite square
 Reference = Annotated[float, Field(ge=-MAX_REFERENCE_MPS2, le=MAX_REFERENCE_MPS2)]
 
+TimeConstant = Annotated[float, Field(ge=1e-9, le=1e6)]  # its powers are floats
+
 Order = Annotated[int, Field(ge=1, le=8)]
 """Of a low-pass filter."""
 
@@ -265,9 +267,9 @@ Order = Annotated[int, Field(ge=1, le=8)]
 class DesignSettings:
     """The thesis's tuning knobs, and their discretisation for the target."""
 
-    tau_s: PositiveFloat = 0.001
+    tau_s: TimeConstant = 0.001
     alpha: Order = 1
-    tau_q_s: PositiveFloat = 0.001
+    tau_q_s: TimeConstant = 0.001
     alpha_q: Order = 2
     feedback: bool = True
     estimator: Rule = "tustin"

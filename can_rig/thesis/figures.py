@@ -16,9 +16,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
-from can_rig import files
 from can_rig.drawing import style
 from can_rig.drawing.names import ticks_text, with_unit
+from can_rig.storage import files
 from can_rig.thesis.comparisons import MAKERS, START_S, Comparison, Curve
 
 LOOKS: tuple[dict[str, Any], ...] = (

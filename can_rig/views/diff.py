@@ -6,9 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from can_rig import paged
 from can_rig.errors import LogError, did_you_mean
 from can_rig.scenario.settings import Scenario, leaves
+from can_rig.storage import paged
 from can_rig.views.signal_table import SignalTable, in_s
 from firmware_model.law.structs import FloatArray
 

@@ -10,13 +10,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from can_rig import paged
 from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.drawing import style
 from can_rig.drawing.thinning import thinned
 from can_rig.errors import LogError
 from can_rig.logs.frames import NS_PER_S
 from can_rig.scenario.settings import Scenario
+from can_rig.storage import paged
 from can_rig.views.diff import Difference, SignalDifference
 from can_rig.views.log_statistics import LogStatistics
 from can_rig.views.signal_table import SignalTable, titles

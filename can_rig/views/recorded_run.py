@@ -16,13 +16,13 @@ from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, Final
 
 from can_rig.errors import LogError, RigError, RunFolderError, ScenarioError, in_python
-from can_rig.folders import NewFolder
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.results.execution import Options, execute, refuse
 from can_rig.results.metrics import Metrics, rows
 from can_rig.results.run_folder import REPORT, RUN_FOLDER, SUMMARY, signals_of_log
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
+from can_rig.storage.folders import NewFolder
 from can_rig.views.signal_table import SignalTable, read_table, scenario_of
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import pytest
 CHECKOUT = Path(__file__).parents[2]
 PACKAGES = ("can_rig", "firmware_model")
 ROOTS = {
-    "can_rig": {"__init__", "__main__", "errors", "files", "folders", "paged"},
+    "can_rig": {"__init__", "__main__", "errors"},
     "firmware_model": {"__init__", "compiled", "errors", "firmware"},
 }
 TOP_LEVEL = {

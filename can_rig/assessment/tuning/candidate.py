@@ -18,17 +18,15 @@ from enum import StrEnum
 from itertools import product
 
 import numpy as np
-from pydantic import ValidationError
 
 from can_rig.assessment.drives import Drives, Finding
 from can_rig.assessment.limitations import unavoidable
 from can_rig.drawing.names import names_of, with_unit
 from can_rig.errors import ScenarioError
-from can_rig.scenario.box import uncertain, with_lags, with_values
+from can_rig.scenario.box import plant_of_box, uncertain, with_lags, with_values
 from can_rig.scenario.build import continuous_design, continuous_plant, network_of, slowness, target
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.reference import reference
-from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import DesignSettings, Scenario
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, noise_gain, peak_sensitivity
 from firmware_model.analysis.sampled_loop import (
@@ -132,21 +130,13 @@ def cars(nominal: PlantSettings, box: Mapping[str, Range], lag_share: float = 0.
     for corner in corners if box or lags else ():
         values = dict(zip(box, corner, strict=False))
         label = ", ".join(f"{key} = {value:g}" for key, value in values.items())
-        try:
+        with plant_of_box(f"box: {label}", "--box or --box-set"):
             settings = with_values(nominal, values)
             if lags:
                 settings = with_lags(settings, corner[-1])
                 label += f", lags × {corner[-1]:g}"
             found.append(Car(label, continuous_plant(settings), settings))
-        except ValidationError as error:
-            raise _no_car(label, refusal(error, PlantSettings)) from None
-        except ScenarioError as error:
-            raise _no_car(label, str(error)) from None
     return found
-
-
-def _no_car(label: str, reason: str) -> ScenarioError:
-    return ScenarioError(f"box: {label}: {reason}; a smaller --box or --box-set may help")
 
 
 def laws(table: Table) -> tuple[Law, Law]:

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from can_rig import paged
+from can_rig.storage import paged
 from firmware_model.law.structs import FloatArray
 
 _HERE = Path(__file__).parent

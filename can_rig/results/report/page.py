@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 
-from can_rig import paged
 from can_rig.assessment.limitations import control_authority
 from can_rig.drawing import style
 from can_rig.drawing.names import Names, disturbance_in_words, fault_in_words, names_of, ticks_text
@@ -28,6 +27,7 @@ from can_rig.scenario.driving import at_speed_of
 from can_rig.scenario.fault_settings import SENSOR
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
+from can_rig.storage import paged
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
 
@@ -351,7 +351,7 @@ def _speed(axis: Axes, signals: Signals) -> None:
         return
     own = axis.twinx()
     own.plot(*thinned(signals.time_s, speed), color=style.INK, lw=0.9, ls=style.DASHED)
-    own.set_ylim(0.0, 1.15 * float(speed.max()))
+    own.set_ylim(0.0, 1.15 * float(speed.max()) or 1.0)  # a car that stands
     own.tick_params(axis="y", direction="in", pad=-16, labelsize=7)
     own.annotate(
         "speed in m/s, dashed", (0.0, 1.0), (4, 4), xycoords="axes fraction",

@@ -11,7 +11,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from can_rig import paged
 from can_rig.drawing.bench import Chart, Curve, Recording, recorded
 from can_rig.drawing.html import Code, page, table
 from can_rig.drawing.names import (
@@ -35,6 +34,7 @@ from can_rig.results.signals import Signals
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import CHANNELS, FaultSettings
 from can_rig.scenario.settings import Scenario, leaves
+from can_rig.storage import paged
 from firmware_model.law.status import Verdict
 from firmware_model.law.structs import FloatArray
 

@@ -223,6 +223,8 @@ def test_windows_of_a_passing_fault_settle_after_it_has_passed():
 def test_two_periods_of_a_slow_reference_count_as_settled():
     settings = ["tick_s=0.01", "reference.frequency_rad_per_s=3.141592653589793"]
     assert spans(load("thesis-sine", settings))["settled_after"] == (15.99, 19.99)
+    endless = ["tick_s=0.01", "reference.frequency_rad_per_s=1e-300"]  # a half of the time at most
+    assert spans(load("thesis-sine", endless))["settled_after"] == (15.0, 19.99)
 
 
 @pytest.mark.parametrize("settings", [["fault.kind=none"], ["duration_s=2.0"]])

@@ -72,6 +72,15 @@ def test_loss_and_gust_are_shaded_where_they_were(tmp_path):
         )
 
 
+@pytest.mark.filterwarnings("error")
+def test_the_speed_of_a_car_that_stands_has_a_scale(tmp_path):
+    scenario, signals = recorded(tmp_path, "drive.speed_mps=0")
+    signals.plant["speed_mps"] = np.zeros_like(signals.time_s)
+    page = report.page(scenario, network_of(scenario), signals)
+    (speed,) = (a for a in page.axes if any("speed" in text.get_text() for text in a.texts))
+    assert speed.get_ylim() == (0.0, 1.0)
+
+
 @pytest.mark.parametrize("setting", ["fault.kind=none", "fault.at_s=0.5"])
 def test_nothing_is_shaded_where_nothing_was_lost(tmp_path, setting):
     page = drawn(tmp_path, "thesis-step", setting)

@@ -6,10 +6,11 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
+from can_rig.scenario.controls import controls
 
 RAMP = "drive.ramps=[[1, 10], [3, 16]]"
 EXACT = {
-    "design.tau_s=-1": "design.tau_s = -1: must be greater than 0",
+    "design.tau_s=-1": "design.tau_s = -1: must be at least 0.000000001",
     "design.alpha=9": "design.alpha = 9: must be at most 8",
     "design.estimator=euler": "design.estimator = 'euler': "
     "must be 'tustin', 'tustin-held' or 'zoh'",
@@ -30,7 +31,8 @@ VALUES = {
     "tick_s": "-0.001 inf fast 2 true", "duration_s": "0 -1 1e7 [1]", "latency_ticks": "-1 65 1.5",
     "seed": "-1 x 2024-01-01", "plant.mass_kg": "0 -1400 'heavy'", "plant.friction": "0",
     "model.kind": "a:B", "model.speed_mps": "nan", "plant": "5 fast", "model": "5",
-    "design.tau_s": "0", "design.alpha": "0", "design.alpha_q": "0", "budget.box": "-0.1",
+    "design.tau_s": "0 1e300", "design.tau_q_s": "1e-300",
+    "design.alpha": "0", "design.alpha_q": "0", "budget.box": "-0.1",
     "budget.false_alarms_per_hour": "inf", "design.compensation": "maybe", "reference": "5",
     "reference.file": "5", "reference.kind": "square", "reference.amplitude_mps2": "nan -1000001",
     "reference.frequency_rad_per_s": "0", "fault.kind": "dead", "fault.channel": "rear",
@@ -51,6 +53,7 @@ PARTS = {
     "design.fault_threshold_mps2=0.02": "design.fault_threshold_mps2: unknown key",
     "reference.amplitude_mps2=1e300": "amplitude_mps2 = 1e+300: must be at most 1000000",
     "plant.friction=1e300": "plant.friction = 1e+300: must be at most 10",
+    "fault={kind='sensor-scaled', gain=1e300}": "fault.gain = 1e+300: must be at most 1000000000",
     "fault.at_s=1e300": "fault.at_s = 1e+300: must be at most 1000000",
     "fault.for_s=1e300": "fault.for_s = 1e+300: must be at most 1000000",
     "actuator.hold_s=1e307": "actuator.hold_s = 1e+307: must be at most 1000000",
@@ -156,3 +159,12 @@ def test_what_a_scenario_may_not_say_is_one_line_that_names_the_key(name, settin
     assert message == line if line.startswith("scenario ") else line in message
     assert "\n" not in message
     assert len(message) < 400
+
+
+@pytest.mark.parametrize(
+    "given", ["plant.mass_kg=10", "model.speed_mps=200", "plant.torque_actuator.lag_s=10"]
+)
+def test_a_box_that_leaves_the_bounds_of_a_key_is_one_line(given):
+    name = given.partition("=")[0].rpartition(".")[2]
+    with pytest.raises(ScenarioError, match=rf"a plant of budget.box: {name} = .*: must be at "):
+        controls(load("default", (given, "budget.actuator_box=0.3")), None)

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, strategies as st
 from playwright.sync_api import expect
 
-from can_rig import paged
 from can_rig.drawing.bench import on_one_axis
+from can_rig.storage import paged
 from tests.browser import barriers
 from tests.helpers import asked
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from can_rig.errors import RunFolderError, one_line
-from can_rig.files import WHOLE, locked, move_up, no_folder, part_folder, safe_name, tidy
+from can_rig.storage.files import WHOLE, locked, move_up, no_folder, part_folder, safe_name, tidy
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import example, given, strategies as st
 
 from can_rig.errors import LogError
-from can_rig.files import FileNames, atomic
+from can_rig.storage.files import FileNames, atomic
 from tests.helpers import asked
 
 
@@ -131,7 +131,7 @@ def test_a_pipe_or_a_device_is_no_file_to_replace(tmp_path):
 def test_what_a_killed_process_leaves_is_gone_with_the_next_output(tmp_path):
     """Parts of a live process stay, and so do foreign files of such a name."""
     program = (
-        "from pathlib import Path; from can_rig.files import atomic\n"
+        "from pathlib import Path; from can_rig.storage.files import atomic\n"
         "with atomic(Path('a.csv'), force=True) as part:\n"
         "    part.write_text('half'); print(flush=True); input()\n"
     )

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from can_rig import folders
 from can_rig.errors import RigError, RunFolderError
-from can_rig.files import move_up
-from can_rig.folders import Kind, NewFolder, refuse_folder, whole_folder
 from can_rig.results.run_folder import RUN_FOLDER
+from can_rig.storage import folders
+from can_rig.storage.files import move_up
+from can_rig.storage.folders import Kind, NewFolder, refuse_folder, whole_folder
 from tests.helpers import asked
 
 SHORT = ("--set", "duration_s=0.3", "--set", "fault.at_s=0.2")
