@@ -66,8 +66,8 @@ def labelled(name: str, unit: str) -> str:
 
 
 def in_a_line(name: str, unit: str) -> str:
-    """A name with the unit."""
-    return f"{name} in {printed(unit)}" if unit else name
+    """A name with the unit, in which $ begins no formula."""
+    return (f"{name} in {printed(unit)}" if unit else name).replace("$", r"\$")
 
 
 def legend_above(axis: Axes, side: Literal["left", "right"] = "right", raised: float = 0.0) -> None:

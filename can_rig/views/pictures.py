@@ -211,7 +211,8 @@ def _words(axis: Axes, columns: MessageColumns, signal: str) -> None:
     codes = np.ma.getdata(columns.codes[signal])[~np.ma.getmaskarray(columns.codes[signal])]
     choices = columns.layout[signal].choices
     used = np.unique(codes).tolist()
-    axis.set_yticks(used, [f"{choices.get(int(code), '?')} ({code})" for code in used])
+    words = (f"{choices.get(int(code), '?')} ({code})" for code in used)
+    axis.set_yticks(used, [style.in_a_line(word, "") for word in words])
     axis.set_ylim(min(used) - 0.4, max(used) + 0.4)
 
 

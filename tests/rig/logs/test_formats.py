@@ -199,6 +199,10 @@ def test_binary_logs_by_another_name(tmp_path):
         other = path.rename(tmp_path / "a.asc")
         assert read_log(other).format.key == suffix
         assert len(whole(other)) == 20
+        packed = tmp_path / f"b{suffix}.gz"
+        packed.write_bytes(gzip.compress(other.read_bytes()))
+        with pytest.raises(LogError, match="must be unpacked before"):
+            read_log(packed)
     with pytest.raises(LogError, match="unknown log format"):
         read_log(written(tmp_path, "nothing known", "a.txt"))
 

@@ -139,6 +139,7 @@ BY_NUMBERS = {
     "plant.input_1={nme='rudder'}": "plant.input_1.nme: unknown key; did you mean name?",
     "plant.input_1={x='rudder'}": "plant.input_1.x: unknown key; known: name, unit",
     "plant.input_1.name=''": "plant.input_1.name = '': must be a word or more",
+    "plant.output.unit='$a$'": "plant.output.unit = '$a$': must be at most",
     "model.input_1.name='rudder'": "model.input_1: must be plant.input_1; a signal has one name",
     'plant.output.unit="\\u0007"': "plant.output.unit = ",
 }
