@@ -38,7 +38,7 @@ VALUES = {
     "reference.frequency_rad_per_s": "0", "fault.kind": "dead", "fault.channel": "rear",
     "fault.at_s": "-1", "fault.for_s": "0 none", "fault.left": "-0.1 nan",
     "plant.sensor.noise_mps2": "-0.1", "limits.torque_nm": "0", "limits.force_difference_n": "-5",
-    "actuator.hold_s": "-1",
+    "actuator.hold_s": "-1", "bus.compute_s": "-1 1e9",
 }  # fmt: skip
 """By key, values that are refused in a line with the key."""
 PARTS = {
