@@ -91,10 +91,19 @@ class Drives:
 
     @cached_property
     def _goal(self) -> FloatArray:
-        free = replace(self._scenario, plant=self.scenario.model)
+        free = self._with(self.scenario.model)
         if not free.controller.is_class:  # a class may compute with its limits
             free = replace(free, limits=LimitSettings())
         return frameless(free.noise_free, self._network).measurement
+
+    def _with(self, plant: PlantSettings) -> Scenario:
+        """The scenario with ``plant``, which is pushed as the scenario's own, if the form fits."""
+        own, pushes = self.scenario.plant, self.scenario.disturbance
+        if plant.kind == own.kind and len(plant.a or ()) == len(own.a or ()):
+            plant = replace(plant, e=plant.e or own.e, gw=plant.gw or own.gw)
+        elif not plant.is_car:
+            pushes = ()
+        return replace(self._scenario, plant=plant, disturbance=pushes)
 
     @cached_property
     def _away(self) -> float:
@@ -103,7 +112,7 @@ class Drives:
 
     def at_start(self, plant: PlantSettings, loss: str) -> Simulation:
         """The drive of ``plant`` that ends with the loss ``loss`` of ``LOSSES``, at rest."""
-        driven = replace(self._scenario, plant=plant)
+        driven = self._with(plant)
         return frameless_loop(driven, self._network, self._law, self._inputs(loss))
 
     def findings(self, car: str, plant: PlantSettings, loss: str) -> Iterator[Finding]:

@@ -96,8 +96,9 @@ def note(*texts: str | None) -> None:
 
 
 def complain(text: str) -> None:
-    """Print an error as one line on standard error."""
-    _print(Console(stderr=True), [f"error: {text}"], "red")
+    """Print an error as one line on standard error; what no terminal prints is escaped."""
+    shown = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in text)
+    _print(Console(stderr=True), [f"error: {shown}"], "red")
 
 
 _for_json: list[TextIO] = []

@@ -141,7 +141,7 @@ def command(
         json_line(folder=str(done.folder), metrics=done.metrics, **asdict(done.outcome))
     else:
         closing_table(done.happened, done.metrics, done.outcome, done.folder)
-    for path in logs:
+    for path in dict.fromkeys(logs):
         write_log(read_log(log_of(done.folder)), path, force=force)
     if done.failure is not None:
         raise done.failure

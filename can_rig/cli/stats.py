@@ -91,11 +91,13 @@ def _summary(statistics: LogStatistics, decoder: Decoder) -> dict[str, Any]:
         row["message"] = decoder.name_of(found.identifier, found.is_extended, found.bus) or ""
         row["per_s"] = found.frames / statistics.span_s if statistics.span_s else None
         rows.append(row)
-    load = {}
+    load, span_s = {}, statistics.span_s or 1.0
     for bus in statistics.buses:
         share = statistics.load(bus)[1]
-        mean = float(share.sum()) / max(statistics.span_s, 1.0)
-        load[bus] = {"mean": mean, "most": float(share.max())}
+        load[bus] = {
+            "mean": float(share.sum()) / span_s,
+            "most": float(share.max()) / min(span_s, 1.0),
+        }
     errors = {
         name: {"wrong_crc": c.wrong_crc, "repeated": c.repeated, "gaps": c.gaps, "lost": c.lost}
         for name, c in decoder.counts.items()

@@ -196,12 +196,19 @@ def _tell_apart(message: Message, strict: bool) -> None:
     message.refresh(strict)
 
 
+def _text_of(path: str | Path) -> str:
+    """A DBC says no encoding: UTF-8 if its bytes are valid there, otherwise that of Windows."""
+    try:
+        return Path(path).read_text("utf-8-sig")
+    except UnicodeDecodeError:
+        return Path(path).read_text("cp1252", "replace")
+
+
 def _load(path: str | Path, kind: str, strict: bool, mended: bool = False) -> Database:
-    text, encoding = "", "cp1252" if kind in ("sym", "dbc") else "utf-8"
+    text, encoding = "", "cp1252" if kind == "sym" else "utf-8"
     try:
         if kind == "dbc":
-            text = Path(path).read_text(encoding, "replace")
-            text = _mended(text) if mended else text
+            text = _mended(_text_of(path)) if mended else _text_of(path)
             loaded = cantools.database.load_string(text, kind, strict=strict)
         else:
             loaded = cantools.database.load_file(path, kind, encoding, strict=strict)

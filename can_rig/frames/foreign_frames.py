@@ -228,7 +228,10 @@ def _largest(form: str) -> float:
 def _frame_length(message: Message, where: Where) -> int:
     longest, own = FD_LENGTHS[-1] if message.is_fd else 8, int(message.length)
     if not 0 < own <= longest:
-        raise DbcError(f"{where.message}: {own} bytes: must be 1 to {longest}")
+        raise DbcError(
+            f"{where.message}: {own} bytes: must be 1 to 8, or to 64 if the database marks the "
+            "frame as CAN FD"
+        )
     return min(length for length in FD_LENGTHS if length >= own)
 
 

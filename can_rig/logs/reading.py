@@ -81,14 +81,21 @@ def format_of(path: Path) -> Format:
 
 
 def content_format(path: Path) -> Format | None:
-    """The format of a log by its first bytes; None: the bytes fit no format."""
+    """The format of a log by its first bytes; None: the bytes fit no format.
+
+    Raises:
+        LogError: a binary log in a gzip file.
+    """
     if not path.is_file():  # a pipe is read once
         return None
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
-        if head[:2] == b"\x1f\x8b":
+        if packed := head[:2] == b"\x1f\x8b":
             head = zlib.decompressobj(_GZIP).decompress(head, _HEAD_BYTES)
     except (OSError, zlib.error):
         return None  # the reader reports the error
-    return next((each for each in FORMATS if each.mark.match(head)), None)
+    found = next((each for each in FORMATS if each.mark.match(head)), None)
+    if packed and found and not found.gzipped:
+        raise LogError(f"{path}: packed by gzip: must be unpacked before, as by gunzip")
+    return found

@@ -79,7 +79,10 @@ def _plain(key: str, value: Any) -> Any:
         return Whole(_without_none(dataclasses.asdict(value)))
     if hasattr(value, "__array__"):
         value = np.asarray(value)
-        value = _roots(value) if value.dtype.kind == "c" else value.tolist()
+        is_roots = value.dtype.kind == "c" and value.ndim == 1
+        if is_roots and not np.allclose(np.sort_complex(value), np.sort_complex(value.conj())):
+            raise ScenarioError(f"{key} = {value}: must have the conjugate of each root")
+        value = _roots(value) if is_roots else value.tolist()
     if isinstance(value, Mapping):
         return Whole({name: _plain(f"{key}.{name}", each) for name, each in value.items()})
     return [_plain(key, each) for each in value] if isinstance(value, list | tuple) else value

@@ -336,7 +336,7 @@ def toml_file(what: str, name: str, known: Mapping[str, Path]) -> tuple[Path, di
         hint = did_you_mean(name, known, f"shipped ones: {', '.join(known)}")
         raise ScenarioError(f"{what} {name}: no such {what} and no such file; {hint}")
     try:
-        return path, tomllib.loads(path.read_text(encoding="utf-8"))
+        return path, tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ScenarioError(f"{what} {name}: not readable as TOML: {error}") from None
     except ValueError:  # Python's limit on digits

@@ -220,8 +220,10 @@ class SignalSettings:
 
     def __post_init__(self) -> None:
         for key, value in (("name", self.name), ("unit", self.unit)):
-            if value is not None and not (value.isprintable() and len(value) <= LONGEST):
-                raise ValueError(f"{key} = {value!r}: must be at most {LONGEST} printable letters")
+            if value and not (value.isprintable() and len(value) <= LONGEST and "$" not in value):
+                raise ValueError(
+                    f"{key} = {value!r}: must be at most {LONGEST} printable letters, none a $"
+                )
         if self.name is not None and not self.name.strip():
             raise ValueError(f"name = {self.name!r}: must be a word or more")
 

@@ -131,7 +131,7 @@ class LogStatistics:
         self.duration_s(FD | BITRATE_SWITCH, 0)
         self.frames = self.error_frames = 0
         self.first_ns: int | None = None
-        self.last_ns = 0
+        self.least_ns = self.last_ns = 0
         self.identifiers: dict[tuple[str, int, bool], Identifier] = {}
         self._busy: dict[str, defaultdict[int, float]] = {}
 
@@ -139,9 +139,11 @@ class LogStatistics:
         """Count a chunk."""
         if not len(frames):
             return
+        least_ns = int(frames.time_ns.min())
         if self.first_ns is None:
-            self.first_ns = int(frames.time_ns[0])
+            self.first_ns = self.least_ns = least_ns
         self.frames += len(frames)
+        self.least_ns = min(self.least_ns, least_ns)
         self.last_ns = max(self.last_ns, int(frames.time_ns.max()))
         errors = frames.has(ERROR)
         self.error_frames += int(errors.sum())
@@ -167,8 +169,8 @@ class LogStatistics:
 
     @property
     def span_s(self) -> float:
-        """From the first frame to the last [s]."""
-        return 0.0 if self.first_ns is None else (self.last_ns - self.first_ns) / NS_PER_S
+        """From the earliest frame to the latest [s]."""
+        return (self.last_ns - self.least_ns) / NS_PER_S
 
     def load(self, bus: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Seconds since the first frame, and the upper bound of the busy share in each second.

@@ -290,5 +290,6 @@ def _refuse_disagreement(plant: Plant) -> None:
         at = int(np.argmin(agree))
         raise ParameterError(
             f"{plant.name}: [G1 G2] = {given[at]} at s = {points[at]:.6g} rad/s,"
-            f" but C(sI - A)^-1 B = {responses[at]}"
+            f" but C(sI - A)^-1 B = {responses[at]}: must agree; numbers of less different size may"
+            " help"
         )

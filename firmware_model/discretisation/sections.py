@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_model.errors import ImproperError
+from firmware_model.errors import DesignError, ImproperError
 from firmware_model.law.structs import FloatArray
 
 ComplexArray = NDArray[np.complex128]
@@ -145,12 +145,19 @@ def section(zeros: list[complex], poles: list[complex]) -> FloatArray:
 
 
 def energy_of(a: FloatArray, c: FloatArray) -> FloatArray:
-    """P = Σ (Aᵀ)ᵏ cᵀ c Aᵏ of a stable A, by doubling: no digits are lost, however slow A is."""
+    """P = Σ (Aᵀ)ᵏ cᵀ c Aᵏ of a stable A, by doubling: no digits are lost, however slow A is.
+
+    Raises:
+        DesignError: A is not stable.
+    """
     energy, power = np.outer(c, c), a
-    while power.any():
-        energy = energy + power.T @ energy @ power
-        power = power @ power
-    return energy
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(64):  # 2⁶⁴ ticks: the slowest mode below 1 has faded
+            if not power.any():
+                return energy
+            energy = energy + power.T @ energy @ power
+            power = power @ power
+    raise DesignError("a pole is too close to 0 rad/s for double precision: must be 0 or faster")
 
 
 def realisation(sections: Sections) -> tuple[FloatArray, FloatArray, FloatArray, float, list[int]]:

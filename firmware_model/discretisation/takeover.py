@@ -14,6 +14,7 @@ from scipy import linalg
 
 from firmware_model.discretisation.sections import Sections, energy_of, realisation
 from firmware_model.discretisation.targets import Target
+from firmware_model.errors import DesignError
 from firmware_model.law.supervision.takeover import Constants
 
 MEMORY_S: Final = 0.05
@@ -37,7 +38,10 @@ def fill_takeover(takeover: Constants, target: Target, g1: Sections) -> None:
     """Fill in the constants; ``g1``: the model of channel 1, stable."""
     memory = max(MEMORY_S / target.tick_s, LEAST_MEMORY)
     phi, _, c, _, reached = realisation(g1)
-    gain, covariance = observer(phi, c, memory)
+    try:
+        gain, covariance = observer(phi, c, memory)
+    except (DesignError, linalg.LinAlgError):
+        return  # no stable observer in double precision: no takeover
     takeover.gain.flat[reached] = gain
     variance = target.noise_rms**2 + target.resolution**2 / 12.0
     takeover.enabled = True

@@ -161,6 +161,12 @@ def _require_proper(g: ZeroPoleGain) -> None:
 
 def _expm1(x: complex) -> complex:
     """e^x - 1 to full relative precision for small complex x (Python's expm1 takes reals)."""
+    if x.real > 700.0:
+        raise ParameterError(
+            f"an unstable pole times the tick is {x.real:.3g}: must be at most 700"
+        )
+    if x.real < -1400.0:  # beyond the range of sinh
+        return complex(-1.0)
     half = cmath.exp(x / 2.0)
     return 2.0 * half * cmath.sinh(x / 2.0)
 

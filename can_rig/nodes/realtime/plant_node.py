@@ -177,7 +177,7 @@ class RealTimePlantNode:
                 self._inbox[slot][at] = record.value
             return
         self._heard_ns = now_ns
-        if self._answered:
+        if self._answered and self._sent_ns[slot]:  # tick 0 has no time
             self.timing.answer.add(now_ns - self._sent_ns[slot])
         self._answered = True
 

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from firmware_model import discretise
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.held_input import response, sampled, zeros_of
+from firmware_model.errors import ParameterError
 
 PAIR = (-3.0 + 40.0j, -3.0 - 40.0j)
 FILTERS = {
@@ -96,3 +98,20 @@ def test_zeros_that_sampling_adds_are_those_of_euler_and_frobenius(order, pole, 
     expected = np.sort(np.roots(eulerian(order)).real)
     np.testing.assert_allclose(np.sort(np.real(zeros)) + 1.0, expected, rtol=rtol)
     assert not np.imag(zeros).any()
+
+
+@pytest.mark.parametrize("fast", [-1.42e5, -1.5e5, -8e8])
+def test_a_pole_far_beyond_the_tick_settles_within_the_tick(fast):
+    slow, tick_s = -12.5, 0.01
+    g = ZeroPoleGain((), (slow, fast), 3.0 * slow * fast)
+    omega = np.array([0.1, 10.0, 300.0])
+    z = np.exp(1j * omega * tick_s)
+    one = np.expm1(slow * tick_s)  # of the slow mode; the fast one has settled
+    expected = 3.0 * (fast / (slow - fast) * one / (z - 1.0 - one) + slow / (slow - fast) / z)
+    found = discretise(g, tick_s, "zoh").frequency_response(omega)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_a_mode_beyond_every_number_within_a_tick_is_refused():
+    with pytest.raises(ParameterError, match=r"times the tick is 3e\+03: must be at most 700"):
+        discretise(ZeroPoleGain((), (3e5,), 1.0), 0.01, "zoh")

@@ -11,6 +11,7 @@ from scipy import signal
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.tustin import tustin, zoh
+from firmware_model.errors import DesignError
 from firmware_model.law.core import actuator, biquad, shortfall
 from firmware_model.law.core.shortfall import make_up
 from firmware_model.law.structs import zeroed
@@ -66,6 +67,12 @@ def test_however_slow_it_fades():
     gain = make_up_gain(Sections(np.array([[0.0, rate, 0.0, rate, 0.0]]), 1e-3))
     # V = y² + P (x⁺)², P = 1/(1 - (1 - r)²), x⁺ = (1 - r) x - r v: least at v = (1 - r) x/r.
     np.testing.assert_allclose(gain, [[(1.0 - rate) / rate, 0.0]], rtol=1e-9)
+
+
+def test_a_lag_that_double_precision_takes_for_an_integrator_is_refused():
+    lag = Sections(np.array([[0.0, 1.0, 0.0, 1e-17, 0.0]]), 1e-3)
+    with pytest.raises(DesignError, match="too close to 0 rad/s for double precision"):
+        make_up_gain(lag)
 
 
 def test_what_answers_to_nothing_cannot_make_up():

@@ -9,14 +9,23 @@ from hypothesis import given, strategies as st
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import steer_by_wire
+from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections, realisation
 from firmware_model.discretisation.tables import build
-from firmware_model.discretisation.takeover import LISTENING, largest_variance, observer
+from firmware_model.discretisation.takeover import (
+    LISTENING,
+    fill_takeover,
+    largest_variance,
+    observer,
+)
 from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.tustin import zoh
 from firmware_model.firmware import Firmware
 from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Mode
+from firmware_model.law.structs import zeroed
 from firmware_model.law.supervision.takeover import (
+    Constants,
     advance_motion,
     begin_takeover,
     show_motion,
@@ -214,6 +223,16 @@ def test_the_observer_is_least_squares_with_a_fading_memory():
     for ahead in (0, 50, 200):
         row = c @ np.linalg.matrix_power(phi, ahead)
         assert row @ covariance @ row == pytest.approx(row @ spread @ spread.T @ row, rel=0.05)
+
+
+def test_without_a_stable_observer_there_is_no_takeover():
+    """Seven lags a rad/s apart, a tick of 1 ms: their sum is beyond double precision."""
+    poles = -np.arange(1.0, 8.0)
+    zeros = np.roots(np.polyder(np.poly(poles)))
+    g1 = zoh(ZeroPoleGain(tuple(zeros), tuple(poles), 7.0), TICK_S)
+    constants = zeroed(Constants, "float64")[0]
+    fill_takeover(constants, Target(tick_s=TICK_S), g1)
+    assert not constants.enabled
 
 
 def test_the_doubt_is_the_variance_that_noise_leaves():

@@ -158,3 +158,20 @@ def test_a_plant_that_fails_is_not_merely_away():
     said = re.fullmatch(rf"this car: healthy: {re.escape(kind)} fails at (\S+) s", str(finding))
     assert said
     assert float(said[1]) == pytest.approx(0.9, abs=0.01)
+
+
+PUSHED = (
+    "tick_s=0.01", "design.alpha=2", "design.tau_s=0.05", "design.alpha_q=2", "design.tau_q_s=0.1",
+    "plant={kind='state-space', a=[[-1, 0.5], [0, -2]], "
+    "b=[[1, 0.5], [0.5, 1]], c=[1, 0], e=[1, 0]}",
+    "disturbance={kind='push', at_s=1.0, size=0.1}",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("model", ["{}", "{a=[[-1]], b=[[1, 0.5]], c=[1]}"])
+def test_a_push_on_a_plant_by_numbers_is_checked_with_model_and_tuned_plants(model):
+    """The settings of a model say no push, and a model of another order cannot have the plant's."""
+    scenario = load("thesis-step", [*PUSHED, f"model={model}"])
+    drives = Drives(scenario, network_of(scenario))
+    for plant in (scenario.plant, scenario.model):
+        assert list(drives.findings("", plant, "torque dead")) == []

@@ -52,6 +52,13 @@ def test_a_file_in_place_of_a_folder_is_named(words, said, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.log"]
 
 
+def test_a_name_with_a_line_break_and_an_escape_is_refused_on_one_line():
+    done = asked("check", "a\nb\x1b[31m.toml")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("error: scenario a\\nb\\x1b[31m.toml: no such scenario")
+
+
 def test_a_new_folder_of_decoded_messages_is_made(tmp_path):
     assert asked("decode", "a.log", "--out", "new").returncode == 0
     assert (tmp_path / "new").is_dir()

@@ -153,7 +153,7 @@ def test_the_same_as_asammdf_extracts(drive, tmp_path):
 
 def test_a_run_writes_its_log_in_other_formats(tmp_path):
     names = ["a.blf", "a.asc", "a.mf4", "a.trc", "a.log.gz"]
-    logs = [option for name in names for option in ("--log", tmp_path / name)]
+    logs = [option for name in (*names, names[0]) for option in ("--log", tmp_path / name)]
     arguments = ("run", "thesis-step", "--set", "duration_s=0.05", "--in-process", *logs)
     assert asked(*arguments, "--out", tmp_path / "run").returncode == 0
     expected = decoded(tmp_path / "run" / LOG)

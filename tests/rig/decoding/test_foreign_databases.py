@@ -47,10 +47,22 @@ def written(folder: Path, text: str, name: str = "a.dbc") -> Path:
 
 @pytest.mark.parametrize("strict", [True, False])
 def test_a_dbc_of_another_encoding_is_loaded(tmp_path, strict):
-    """A byte that cp1252 lacks, as many a UTF-8 text has, stands in a unit or comment."""
-    path = written(tmp_path, TWICE.replace('"" A', '"\u4e01\u010d" A', 1))
-    assert b"\x81\xc4\x8d" in path.read_bytes()
-    assert [message.frame_id for message in load_database(path, strict).messages] == [256, 257, 258]
+    """In UTF-8, with its mark or without, in that of Windows, and with a byte that neither has."""
+    text = TWICE.replace('"" A', '"\u00b0/s" A', 1).encode()
+    path = tmp_path / "a.dbc"
+    windows, neither = text.replace(b"\xc2", b""), text.replace(b"\xb0", b"\x81")
+    for found, unit in (
+        (text, "\u00b0/s"),
+        (b"\xef\xbb\xbf" + text, "\u00b0/s"),
+        (windows, "\u00b0/s"),
+        (neither.replace(b"\xc2\x81", b"\xff\x81"), "\u00ff\ufffd/s"),
+    ):
+        path.write_bytes(found)
+        messages = load_database(path, strict).messages
+        assert [message.frame_id for message in messages] == [256, 257, 258]
+        assert {signal.unit for message in messages for signal in message.signals} - {None} == {
+            unit
+        }
 
 
 def test_two_messages_of_one_name_are_two_messages(tmp_path):

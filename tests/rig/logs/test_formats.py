@@ -199,6 +199,10 @@ def test_binary_logs_by_another_name(tmp_path):
         other = path.rename(tmp_path / "a.asc")
         assert read_log(other).format.key == suffix
         assert len(whole(other)) == 20
+        packed = tmp_path / f"b{suffix}.gz"
+        packed.write_bytes(gzip.compress(other.read_bytes()))
+        with pytest.raises(LogError, match="must be unpacked before"):
+            read_log(packed)
     with pytest.raises(LogError, match="unknown log format"):
         read_log(written(tmp_path, "nothing known", "a.txt"))
 
@@ -230,3 +234,15 @@ def test_what_is_in_a_log(tmp_path):
     assert found["bitrate_assumed"] and line in said.splitlines()
     assert line not in asked("stats", path, "--bitrate", 250000).stdout
     assert asked("stats", path, "--bitrate", 0).returncode == 2
+
+
+def test_the_load_of_a_short_log_is_that_of_its_time(tmp_path):
+    """A clock that is set back by 50 ms: what is before its first frame counts too."""
+    times = [1.0 + 0.002 * at - (0.05 if at >= 20 else 0.0) for at in range(40)]
+    path = written(tmp_path, "".join(f"({t:.6f}) can0 123#0102030405060708\n" for t in times))
+    found = json.loads(asked("stats", path, "--json").stdout)
+    span_s = max(times) - min(times)
+    assert found["span_s"] == pytest.approx(span_s)
+    expected = pytest.approx(40 * 135 / 500_000 / span_s)
+    assert found["load"]["can0"] == {"mean": expected, "most": expected}
+    assert found["identifiers"][0]["per_s"] == pytest.approx(40 / span_s)

@@ -10,6 +10,7 @@ from can_rig.controllers.our_law import OurLaw
 from can_rig.controllers.protocol import InNode
 from can_rig.errors import BusError, ScenarioError, SilentNodeError
 from can_rig.nodes.bus_access import StopRequest, Timeouts
+from can_rig.nodes.ends import COMMANDS, PlantEnd
 from can_rig.nodes.realtime.controller_node import warm_up
 from can_rig.nodes.realtime.timing import CATCH_UP_TICKS, Schedule
 from can_rig.results.signals import read_signals
@@ -105,6 +106,20 @@ def test_late_frames_are_counted_and_not_used(tmp_path):
     assert plant.rejected()[NAMES[2]]["wrong_tick"] == 1
     signals = read_signals(log, world.network, 0.001)
     assert np.isnan(signals.torque_nm[40])
+
+
+def test_a_second_answer_to_the_offer_has_no_delay(monkeypatch):
+    """Two controllers, and frames of one's own without protection: both answer tick 0."""
+    judge, send = PlantEnd.judge, World.Controller.send
+
+    def twice(bus, message):
+        send(bus, message)
+        send(bus, message)
+
+    monkeypatch.setattr(World.Controller, "send", twice)
+    monkeypatch.setattr(PlantEnd, "judge", lambda *a: judge(*a) or (COMMANDS, None))
+    _, plant = World(scenario_of("duration_s=0.1")).run()
+    assert plant.realtime()["answer_after_us"]["max"] < 1000.0
 
 
 @settings(max_examples=20, deadline=None)

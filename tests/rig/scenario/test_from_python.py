@@ -194,6 +194,8 @@ REFUSED: list[tuple[dict[Any, Any], str]] = [
     ({"plant.g1": SAMPLED["dlti"]}, "plant.g1: a system sampled already"),
     ({"plant.g1": object()}, "plant.g1 = <object"),
     ({"controller.kind": Home()}, "controller.kind = <.*: must be a text, a class or a function"),
+    ({"plant.g1.poles": np.array([-1 - 2j, -3])}, "must have the conjugate of each root"),
+    ({"plant.a": np.array([[-1.0, 1j], [0.0, -2.0]])}, "plant.a = .*must be a number"),
     ({"controller.c": control.tf(NUM, DEN)}, "kind = 'ours'; kind = 'filters' has it"),
 ]  # fmt: skip
 

@@ -38,7 +38,7 @@ VALUES = {
     "reference.frequency_rad_per_s": "0", "fault.kind": "dead", "fault.channel": "rear",
     "fault.at_s": "-1", "fault.for_s": "0 none", "fault.left": "-0.1 nan",
     "plant.sensor.noise_mps2": "-0.1", "limits.torque_nm": "0", "limits.force_difference_n": "-5",
-    "actuator.hold_s": "-1",
+    "actuator.hold_s": "-1", "bus.compute_s": "-1 1e9",
 }  # fmt: skip
 """By key, values that are refused in a line with the key."""
 PARTS = {
@@ -139,6 +139,7 @@ BY_NUMBERS = {
     "plant.input_1={nme='rudder'}": "plant.input_1.nme: unknown key; did you mean name?",
     "plant.input_1={x='rudder'}": "plant.input_1.x: unknown key; known: name, unit",
     "plant.input_1.name=''": "plant.input_1.name = '': must be a word or more",
+    "plant.output.unit='$a$'": "plant.output.unit = '$a$': must be at most",
     "model.input_1.name='rudder'": "model.input_1: must be plant.input_1; a signal has one name",
     'plant.output.unit="\\u0007"': "plant.output.unit = ",
 }

@@ -25,6 +25,12 @@ def test_what_is_there_but_no_file_is_said_to_be_none(name):
         load(name)
 
 
+def test_a_file_with_a_byte_order_mark_is_read(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text("seed = 7\n", encoding="utf-8-sig")
+    assert load(str(path)).seed == 7
+
+
 @pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that cannot be read")
 def test_a_file_that_cannot_be_read():
     with pytest.raises(ScenarioError, match=r"not readable as TOML: .*Input/output error"):

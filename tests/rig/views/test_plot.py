@@ -44,6 +44,8 @@ def car():
 
 
 def test_any_dbc_any_log(car):
+    """Also with dollars in a unit and in the words of a value, which begin no formula."""
+    Path("car.dbc").write_text(CAR.replace('"rpm"', '"$/{$"').replace("IDLE", "$_{$"))
     wanted = ["ENGINE.Speed", "WHEEL.Speed", "Temperature", "State"]
     done = asked("plot", car, *wanted, "--dbc", "car.dbc")
     assert (done.returncode, done.stderr) == (0, "")
