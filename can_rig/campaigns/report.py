@@ -64,7 +64,8 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
     heights += [PANEL_IN] * (1 + len(axes)) if metrics else []
     figure = style.page(0.8 + sum(heights))
     figure.suptitle(
-        f"{plan.settings.name}: {summary.runs:,} runs of {', '.join(plan.bases)}, "
+        f"{style.plain(plan.settings.name)}: {summary.runs:,} runs of "
+        f"{style.plain(', '.join(plan.bases))}, "
         f"{summary.hours:.3g} h",
         x=0.01, ha="left", fontsize=13,
     )  # fmt: skip

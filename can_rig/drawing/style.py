@@ -66,8 +66,13 @@ def labelled(name: str, unit: str) -> str:
 
 
 def in_a_line(name: str, unit: str) -> str:
-    """A name with the unit, in which $ begins no formula."""
-    return (f"{name} in {printed(unit)}" if unit else name).replace("$", r"\$")
+    """A name with the unit."""
+    return plain(f"{name} in {printed(unit)}" if unit else name)
+
+
+def plain(text: str) -> str:
+    """A text of the user, in which $ begins no formula."""
+    return text.replace("$", r"\$")
 
 
 def legend_above(axis: Axes, side: Literal["left", "right"] = "right", raised: float = 0.0) -> None:

@@ -153,7 +153,7 @@ def _whose(comparison: Comparison) -> str:
     """A figure of the thesis by its number, of a scenario by its name."""
     if comparison.figure in MAKERS:
         return f"Fig. {comparison.figure}"
-    return comparison.scenario.name
+    return style.plain(comparison.scenario.name)
 
 
 def _math(name: str) -> str:

@@ -136,7 +136,7 @@ class Comparison:
 
     def draw(self, path: Path) -> None:
         """One picture: a panel for each case, a curve of the error for each controller."""
-        from can_rig.drawing.style import BLUE, GREEN, INK, ORANGE, page, ruled  # noqa: PLC0415
+        from can_rig.drawing.style import BLUE, GREEN, INK, ORANGE, page, plain, ruled  # noqa: PLC0415
 
         colours = (BLUE, ORANGE, GREEN, INK, "#7a4b9e", "#9a8a1f")
         columns = min(3, len(self.cases))
@@ -145,12 +145,12 @@ class Comparison:
         panels = figure.subplots(lines, columns, squeeze=False, sharex=True).ravel()
         for panel, case in zip(panels, self.cases, strict=False):
             ruled(panel)
-            panel.set_title(case, fontsize=9, loc="left")
+            panel.set_title(plain(case), fontsize=9, loc="left")
             panel.set_yscale("symlog", linthresh=0.01)
             for at, controller in enumerate(self.controllers):
                 if (controller, case) in self.errors:
                     panel.plot(
-                        *self.errors[controller, case], lw=1.0, label=controller,
+                        *self.errors[controller, case], lw=1.0, label=plain(controller),
                         color=colours[at % len(colours)], ls="-" if at < len(colours) else "--",
                     )  # fmt: skip
         for panel in panels[len(self.cases) :]:

@@ -54,7 +54,7 @@ def difference_page(a: SignalTable, b: SignalTable, difference: Difference) -> F
     for axis in axes[-1]:
         axis.set_xlabel("time in s")
     figure.legend(
-        axes[0, 0].get_lines()[:2], titles(a, b),
+        axes[0, 0].get_lines()[:2], [style.plain(each) for each in titles(a, b)],
         loc="outside upper center", ncols=2, frameon=False, fontsize=10,
         title=_settings(difference), title_fontsize=9,
     )  # fmt: skip
@@ -81,7 +81,12 @@ def overlay(runs: Mapping[str, SignalTable], signals: Sequence[str]) -> Figure:
                     f"{name}: has no signal {signal}; its signals are {', '.join(table.columns)}"
                 )
             curve = thinned(table.time_s, table.columns[signal])
-            axis.step(*curve, where="post", label=name, **style.SERIES[at % len(style.SERIES)])
+            axis.step(
+                *curve,
+                where="post",
+                label=style.plain(name),
+                **style.SERIES[at % len(style.SERIES)],
+            )
             axis.set_ylabel(style.labelled(*table.name_and_unit(signal)))
         style.ruled(axis)
     style.legend_above(axes[0])
@@ -95,7 +100,7 @@ def _settings(difference: Difference) -> str | None:
         return None
     shown = [str(setting) for setting in difference.settings[:MAX_SETTINGS]]
     rest = len(difference.settings) - len(shown)
-    return "\n".join(shown + [f"and {rest} more settings"] * bool(rest))
+    return style.plain("\n".join(shown + [f"and {rest} more settings"] * bool(rest)))
 
 
 def _around(a: SignalTable, difference: Difference) -> tuple[float, float]:
@@ -212,7 +217,7 @@ def _words(axis: Axes, columns: MessageColumns, signal: str) -> None:
     choices = columns.layout[signal].choices
     used = np.unique(codes).tolist()
     words = (f"{choices.get(int(code), '?')} ({code})" for code in used)
-    axis.set_yticks(used, [style.in_a_line(word, "") for word in words])
+    axis.set_yticks(used, [style.plain(word) for word in words])
     axis.set_ylim(min(used) - 0.4, max(used) + 0.4)
 
 

@@ -77,7 +77,7 @@ def picture(found: Tunings) -> Figure:
     axis.grid(alpha=0.35, lw=0.5)
     axis.legend(frameon=True, framealpha=0.9, edgecolor="none", fontsize=8, loc="upper right")
     axis.set_title(
-        f"{scenario.name}: tick {1e3 * scenario.tick_s:g} ms, latency "
+        f"{style.plain(scenario.name)}: tick {1e3 * scenario.tick_s:g} ms, latency "
         f"{ticks_text(scenario.latency_ticks)}, {ticks_text(found.spare_ticks)} to spare, "
         f"compensation {scenario.design.compensation.replace('-', ' ')}",
         fontsize=9,

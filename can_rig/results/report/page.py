@@ -118,7 +118,7 @@ def page(
     title_in = TITLE_LINE_IN * (1 + title.count("\n"))
     near = around_the_fault(scenario, signals)
     figure = _empty_page(title_in, bool(realtime), near is not None)
-    figure.suptitle(title, fontsize=11, y=1.0 - 0.08 / figure.get_figheight())
+    figure.suptitle(style.plain(title), fontsize=11, y=1.0 - 0.08 / figure.get_figheight())
     axes, beside = list(figure.axes[:5]), list(figure.axes[-5:])
     if realtime:
         draw_timing(figure.axes[5], scenario.tick_s, realtime)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.structs import Struct
-from firmware_model.law.supervision.echoes import FORCE, TORQUE, confesses, says_lost
+from firmware_model.law.supervision.echoes import FORCE, TORQUE, confesses, denies
 from firmware_model.law.supervision.witness import acquits, agrees_with_sensor, contradicts
 
 if TYPE_CHECKING:
@@ -60,8 +60,7 @@ def torque_waits(
     there. ``test_age``: ticks since the onset of the candidate.
     """
     torque, force = table.echoes.actuators[TORQUE], table.echoes.actuators[FORCE]
-    echo = heard.actuators[TORQUE]
-    denied = echo.left > 0 and echo.believed == 0 and not says_lost(torque, echo)
+    denied = denies(torque, heard.actuators[TORQUE])
     told = seen.age < test_age and acquits(table.witness, seen)
     elsewhere = confesses(force, heard.actuators[FORCE])
     gentle = abs(own.sudden) < table.corroboration.gust

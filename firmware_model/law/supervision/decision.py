@@ -38,6 +38,7 @@ from firmware_model.law.supervision.echoes import (
     Echo,
     confesses,
     contradicts_share,
+    denies,
     known_output,
     moves,
     says_lost,
@@ -158,7 +159,9 @@ def decide(
         restart_test(table, state)
     elif before == CONFIRMED:
         share = known_share(loss, known)
-        if contradicts_share(table.echoes.actuators[TORQUE], heard.actuators[TORQUE], share):
+        echo = heard.actuators[TORQUE]
+        contradicted = contradicts_share(table.echoes.actuators[TORQUE], echo, share)
+        if contradicted and echo.lied == 0:
             hand_over_to_echo(table, state)
         elif test.evidence > table.decision.recover:
             recover(table, state)
@@ -170,7 +173,9 @@ def decide(
 def look_for_loss(table: Table, state: layout.State, before: int, model_1: float) -> None:
     """The fault state of a tick in which no loss is known; ``before``: of the tick before."""
     constants, test, seen = table.decision, state.sequential_test, state.witness
-    needed, heard = needed_evidence(table, test, state.echoes.actuators[TORQUE]), state.echoes
+    heard, echo = state.echoes, state.echoes.actuators[TORQUE]
+    needed = needed_evidence(table, test, echo)
+    echo.lied = 0
     if is_acquitted(table, state.hypotheses):
         state.fault_state = CANNOT_TELL
     elif test.evidence > needed and not torque_waits(
@@ -281,6 +286,9 @@ def believe_torque_echo(table: Table, state: layout.State) -> None:
 @firmware
 def confirm(table: Table, state: layout.State, share: float) -> None:
     """Take a ``share`` of channel 1 for lost since the start of the candidate."""
+    echo = state.echoes.actuators[TORQUE]
+    if echo.good > 0 and denies(table.echoes.actuators[TORQUE], echo):
+        echo.lied = 1
     state.fault_state = CONFIRMED
     take_candidate(table, state, share, real(1.0, share))
 

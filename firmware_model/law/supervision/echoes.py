@@ -11,7 +11,8 @@ e: a signature with only its share unknown. An echo alone proves nothing, becaus
 wrong or repeat the command: the evidence comes from d̂ (``hypotheses``). Once the evidence is
 enough, the law *believes* the echo: G v leaves d̂, and F̂ gets the missing output of actuator 1. A
 believed echo that turns out to be wrong is found by the same signature with the opposite sign. An
-echo is *doubted* once d̂ contradicts its e, until the next echo without a fault.
+echo is *doubted* once d̂ contradicts its e, until the next echo without a fault. An echo has *lied*
+if it denied a loss that d̂ has confirmed, and does not end the loss.
 
 A motor that still obeys, with an offset, a drift or a delay, can make up for its own error: C takes
 over the part that F̂ carries, as fast as two lags in a row. A motor obeys if the changes of e differ
@@ -96,6 +97,7 @@ class Echo(Struct):
     left: Annotated[int, "tick", "for so long the last echo counts; 0: no echo"]
     believed: Annotated[int, "1", "1: e is known to be missing"]
     doubted: Annotated[int, "1", "1: d̂ has contradicted the fault that the echo shows"]
+    lied: Annotated[int, "1", "1: the echo denied the loss that d̂ has confirmed"]
     known: Annotated[biquad.State, "y", "state of G driven by the believed v"]
     previous: Annotated[float, "y", "its output in the last tick"]
     told: Annotated[float, "y", "the same of v since the onset of its signature"]
@@ -312,6 +314,12 @@ def confesses(constants: Actuator, own: Echo) -> bool:
 
 
 @firmware
+def denies(constants: Actuator, own: Echo) -> bool:
+    """Whether the last echoes deny a loss of the actuator."""
+    return own.left > 0 and own.believed == 0 and not says_lost(constants, own)
+
+
+@firmware
 def works(own: Echo, working: int) -> bool:
     """Whether so many echoes have reported a ``working`` actuator, one after another."""
     return own.left > 0 and working > 0 and own.good >= working
@@ -333,4 +341,4 @@ def settle_echo(constants: Actuator, own: Echo, command: float) -> None:
     own.known.accumulators[:] = 0.0
     own.error = own.before = own.missing = own.off = own.power = own.previous = own.told = 0.0
     own.stray = own.swing = own.turned = 0.0
-    own.good = own.left = own.believed = own.doubted = 0
+    own.good = own.left = own.believed = own.doubted = own.lied = 0

@@ -81,6 +81,15 @@ def test_what_an_echo_tells_is_not_compensated_to_harm(name, car, fault, seed):
     assert values["deviation_peak_mps2"] <= 1.1 * uncompensated + 0.01
 
 
+@pytest.mark.parametrize("at_s", [3.7, 4.1, 4.3, 4.6])
+def test_a_motor_that_died_stays_compensated_against_an_echo_that_repeats_the_command(at_s):
+    """A hanging drive repeats its command: whenever the command moves, its model lags behind."""
+    lies = ["kind=sensor-lying", "channel=torque-echo", "at_s=3"]
+    drive = [f"duration_s={at_s + 1.5}", f"fault.0.at_s={at_s}", *(f"fault.1.{it}" for it in lies)]
+    values = metrics_of(load("cluster", drive))
+    assert values["deviation_peak_mps2"] < 0.4 < values["deviation_peak_uncompensated_mps2"]
+
+
 @given(away=st.floats(-3.0, 3.0).filter(bool), begin=st.integers(0, 250))
 def test_a_constant_deviation_leads_half_a_t_squared_astray(away, begin):
     """Within the two seconds of a driver, or what the run has of them."""

@@ -189,3 +189,11 @@ def test_what_if_refuses_what_makes_no_sense(runs):
         assert refused.returncode == 2
         assert words in refused.stderr
         assert (runs / "a" / "bus.log").is_file()
+
+
+def test_a_dollar_in_a_name_begins_no_formula(tmp_path):
+    scenario, folder = tmp_path / "$_{$.toml", tmp_path / "a$_{$"
+    scenario.write_text("duration_s = 0.05\n")
+    done = asked("run", scenario, "--in-process", "--out", folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert asked("diff", folder, folder, "--out", tmp_path / "a.png").returncode == 0
