@@ -133,6 +133,7 @@ def page(
             for text in (*axis.texts, *([] if legend is None else [legend])):
                 text.remove()  # the panel at the left has the same
         beside[4].ticklabel_format(axis="x", useOffset=False)
+        beside[4].locator_params(axis="x", prune="lower")  # where the panel at the left ends
         beside[4].set_xlabel("around the fault, time in s")
     output, *commands = names
     for axis, name, unit in zip(

@@ -233,6 +233,8 @@ def _in_units(
 ) -> Iterator[tuple[str, Any, str, Code]]:
     """Name, value, unit of the plant, and key of each metric."""
     own = {of_car.unit: signal.unit for of_car, signal in zip(CAR, names, strict=True)}
+    if names.output != CAR.output:
+        own["m/s"] = f"{names.output.unit} s".lstrip()  # of the integral of the error
     its = {"dstar": names[0].name, "torque": names[1].name, "force difference": names[2].name}
     for key, value in values:
         words, unit = parted(key)

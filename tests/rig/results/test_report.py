@@ -58,6 +58,24 @@ def test_no_label_leaves_the_page(tmp_path, amplitude):
         assert axis.yaxis.get_tightbbox().x0 > 0.0
 
 
+def test_times_of_the_two_columns_do_not_overlap(tmp_path):
+    page = drawn(tmp_path, "default", "duration_s=0.5", "fault.at_s=0")
+    page.draw_without_rendering()
+    below = sorted(
+        (axis for axis in page.axes if axis.get_xlabel()), key=lambda a: a.get_position().x0
+    )
+    ends = [
+        [text.get_window_extent() for text in axis.get_xticklabels() if text.get_text()]
+        for axis in below
+    ]
+    left, right = (
+        [box for box, at in zip(boxes, axis.get_xticks(), strict=True)
+         if axis.get_xlim()[0] <= at <= axis.get_xlim()[1]]
+        for boxes, axis in zip(ends, below, strict=True)
+    )  # fmt: skip
+    assert max(box.x1 for box in left) < min(box.x0 for box in right)
+
+
 def test_loss_and_gust_are_shaded_where_they_were(tmp_path):
     gust = "disturbance={kind='gust', at_s=0.12, for_s=0.06, force_n=1}"
     page = drawn(tmp_path, "thesis-step", "fault.for_s=0.05", gust)

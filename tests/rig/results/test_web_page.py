@@ -112,3 +112,14 @@ def test_metrics_have_the_names_of_the_plant():
     assert {"force 1 peak", "force 2 settled"} <= set(said)
     assert not [words for words in said if re.search("torque|difference|dstar", words)]
     assert len(re.findall(r"<td>place</td><td[^>]*>force 1</td>", page)) == 2
+
+
+def test_the_integral_of_an_error_has_the_unit_of_the_plant():
+    scenario = load("satellite", ["duration_s=2.0", "fault.at_s=1.0"])
+    signals = signals_without_log(scenario)
+    page = web_page(
+        scenario, network_of(scenario), signals, metrics(scenario, signals), (), scenario
+    )
+    row = re.search(r"<tr>(?:(?!</tr>).)*error_integral_after_fault_mps.*?</tr>", page, re.DOTALL)
+    assert "rad s" in row[0]
+    assert "m/s" not in row[0]
