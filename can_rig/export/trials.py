@@ -359,8 +359,7 @@ def random_state(
     state.echoes.index = random.integers(0, KEPT_TICKS)
     for echo in state.echoes.actuators:
         echo.left, echo.believed, echo.good = reported(random)
-        echo.doubted = random.integers(0, 2)
-        echo.lied = 1 - echo.doubted
+        echo.doubted, echo.lied = random.choice([(0, 1), (1, 0)])
         if random.random() < 0.3:  # of a motor that obeys, with a small or a large error
             with np.errstate(over="ignore"):
                 echo.swing = random.choice([1e-2, 1.0]) * echo.error**2
