@@ -177,6 +177,16 @@ def test_a_loss_is_confirmed_sooner_with_an_echo_and_against_a_lying_one():
     assert told < denied <= alone
 
 
+def test_an_echo_that_denied_the_loss_does_not_end_the_loss():
+    """First it repeats the command, later half of the command, which contradicts a whole loss."""
+
+    def lying_by_halves(_outputs: Any, commands: Any, k: int) -> Any:
+        return (commands[0] * (1.0 if k < FAULT + 45 else 0.5), commands[1])
+
+    found = drive(table_of(echo_rms=1.0), dead, lying_by_halves, ticks=FAULT + 80)
+    assert set(states(found)[FAULT + confirmed_after(found) :]) == {FaultState.CONFIRMED}
+
+
 @pytest.mark.compiled
 def test_a_gust_is_no_loss_for_the_echo_denies_it():
     def gust(k: int) -> float:

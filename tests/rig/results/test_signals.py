@@ -248,7 +248,9 @@ def test_a_name_that_would_not_tell_columns_apart_is_its_role(name):
     assert names["dstar_mps2"] == "output"
 
 
-WORDS = st.text(min_size=1, max_size=6).filter(lambda word: word.isprintable() and word.strip())
+WORDS = st.text(min_size=1, max_size=6).filter(
+    lambda word: word.isprintable() and word.strip() and "$" not in word
+)
 
 
 @given(st.tuples(WORDS, WORDS, WORDS), WORDS)
