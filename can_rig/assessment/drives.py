@@ -25,7 +25,7 @@ import numpy as np
 from can_rig.drawing.names import CAR, Names, names_of, with_unit
 from can_rig.frames.network import Network
 from can_rig.plant.frameless import Inputs, frameless, frameless_loop, inputs_of
-from can_rig.scenario.box import in_box, plant_of_box, uncertain, with_lags
+from can_rig.scenario.box import in_box, uncertain
 from can_rig.scenario.build import continuous_plant, slowness, target
 from can_rig.scenario.controls import controller_table
 from can_rig.scenario.fault_settings import CHANNELS, Channel, FaultSettings
@@ -238,10 +238,7 @@ def box_cars(scenario: Scenario) -> Iterator[tuple[str, PlantSettings]]:
     for place in np.concatenate([vertices, drawn]):
         shares = {key: budget.box * float(x) for key, x in zip(keys, place, strict=False)}
         labels = [f"{key} {share:+.0%}" for key, share in shares.items()]
-        with plant_of_box("a plant of budget.box", "box"):
-            car = in_box(plant, shares)
-            if late > 0.0:
-                car = with_lags(car, 1.0 + late * float(place[-1]))
+        lags = late * float(place[-1])
         if late > 0.0:
-            labels.append(f"lags {late * float(place[-1]):+.0%}")
-        yield ", ".join(labels), car
+            labels.append(f"lags {lags:+.0%}")
+        yield ", ".join(labels), in_box(plant, shares, lags)

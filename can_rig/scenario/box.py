@@ -80,12 +80,19 @@ def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSe
     )
 
 
-def in_box(settings: PlantSettings, shares: Mapping[str, float]) -> PlantSettings:
-    """``settings`` with varying parameters increased by these shares; 0.2 means 20 %."""
+def in_box(
+    settings: PlantSettings, shares: Mapping[str, float], lags: float = 0.0
+) -> PlantSettings:
+    """``settings`` with varying parameters and ``lags`` increased by these shares; 0.2: 20 %.
+
+    Raises:
+        ScenarioError: see ``plant_of_box``.
+    """
     nominal = uncertain(settings)
-    return with_values(
-        settings, {key: nominal[key] * (1.0 + share) for key, share in shares.items()}
-    )
+    values = {key: nominal[key] * (1.0 + share) for key, share in shares.items()}
+    with plant_of_box("a plant of budget.box", "box"):
+        car = with_values(settings, values)
+        return with_lags(car, 1.0 + lags) if lags else car
 
 
 def with_lags(settings: PlantSettings, factor: float) -> PlantSettings:

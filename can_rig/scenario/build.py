@@ -11,7 +11,7 @@ from can_rig.frames.codec import MessageCodec
 from can_rig.frames.databases import shipped_dbc
 from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network, load_network
-from can_rig.scenario.box import in_box, plant_of_box, uncertain, with_lags
+from can_rig.scenario.box import in_box, uncertain
 from can_rig.scenario.log_signals import OF_SENSORS, LogSignal, terms, unit_factor
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
@@ -305,11 +305,8 @@ def other_plants(scenario: Scenario) -> Callable[[FloatArray], plants.Plant]:
 
     def plant(place: FloatArray) -> plants.Plant:
         shares = {key: budget.box * float(x) for key, x in zip(keys, place, strict=False)}
-        with plant_of_box("a plant of budget.box", "box"):
-            other = in_box(model, shares)
-            if late:
-                other = with_lags(other, 1.0 + budget.actuator_box * float(place[-1]))
-        return continuous_plant(other)
+        lags = budget.actuator_box * float(place[-1]) if late else 0.0
+        return continuous_plant(in_box(model, shares, lags))
 
     return plant
 
