@@ -208,7 +208,8 @@ def _load(path: str | Path, kind: str, strict: bool, mended: bool = False) -> Da
     text, encoding = "", "cp1252" if kind == "sym" else "utf-8"
     try:
         if kind == "dbc":
-            text = _mended(_text_of(path)) if mended else _text_of(path)
+            text = _text_of(path)
+            text = _mended(text) if mended else text
             loaded = cantools.database.load_string(text, kind, strict=strict)
         else:
             loaded = cantools.database.load_file(path, kind, encoding, strict=strict)

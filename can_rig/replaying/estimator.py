@@ -8,7 +8,7 @@ F1 and the decision work on the inputs that the log has:
 | ``command_1``, ``command_2``      | as sent to the actuator      | as in the scenario    |
 | neither, of the force difference  | 0 N: there is no actuator    | as in the scenario    |
 
-The controller's own commands are what it would have sent, and act on nothing. Without ``reference``
+The controller computes its own commands, and no command acts on the car. Without ``reference``
 in the log, the reference is D* itself: then the torque command follows the torque that would make
 the model move as the car did.
 

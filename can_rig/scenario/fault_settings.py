@@ -60,6 +60,7 @@ Moment = Annotated[float, Field(ge=0.0, le=MAX_DURATION_S)]
 """A moment of a run, or a duration of zero or more, s."""
 
 Number = Annotated[float, Field(ge=-1e9, le=1e9)]
+"""The number of a fault, in the unit of its place; sums and squares of such numbers are finite."""
 
 NUMBER: Final = {
     "actuator-dead": "left",

@@ -481,7 +481,8 @@ class PlantSettings(VehicleParameters):
     def second_mass(self) -> int | None:
         """The state that is the position of a second mass; None: no such state is known.
 
-        Of ``state-space`` with a position in m as its output: another state whose rate is a state.
+        Of ``state-space`` with a position in m as its output: a state that is not the output, with
+        a second state as its rate.
         """
         if self.kind != STATE_SPACE or self.output.unit != "m":
             return None
