@@ -49,7 +49,7 @@ from cantools.database.can import Message as DbcMessage
 from can_rig.assessment.frame_length import CLASSIC_BYTES, FrameBits, worst_case_bits
 from can_rig.errors import RigError
 from can_rig.frames.codec import MessageCodec
-from can_rig.frames.databases import load_dbc
+from can_rig.frames.databases import load_database
 from can_rig.frames.foreign_frames import FD_LENGTHS
 from can_rig.frames.network import Network
 
@@ -341,7 +341,7 @@ def dbc_timing(path: str | Path, bitrate: int, data_bitrate: int | None = None) 
         AnalysisError, FrameError: frames or bit rates outside the CAN standard.
     """
     frames, left_out = [], []
-    for message in load_dbc(path, strict=False).messages:
+    for message in load_database(path, strict=False).messages:
         longest = FD_LENGTHS[-1] if message.is_fd else CLASSIC_BYTES
         if not message.cycle_time:
             left_out.append(f"{message.name} (no cycle time)")

@@ -13,11 +13,13 @@ The times suit a car, and grow for a slower plant.
 Other cars are the vertices of the budget's box and random cars from its inside.
 """
 
+import os
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import islice, product
 from typing import Final
 
 import numpy as np
@@ -205,20 +207,22 @@ def box_findings(
 ) -> list[Finding]:
     """The failures of other cars of the budget's box after a loss of the torque.
 
-    While some cars drive, compiled and without the interpreter's lock, the next car is made.
+    While some cars drive, compiled and without the interpreter's lock, the next car is made. Few
+    drive at once, because the trace of a drive with a short tick is large.
     """
     scenario, loss = drives.scenario, "torque dead"
     if not scenario.design.feedback or scenario.plant.is_own:
         return []
     found: list[Finding] = []
-    with ThreadPoolExecutor() as beside:
-        driven = [
-            (label, car, beside.submit(to_the_end, drives.at_start(car, loss)))
-            for label, car in box_cars(scenario)
-        ]
-        for done, (label, car, trace) in enumerate(driven, 1):
-            found += drives.judged(label, car, loss, trace.result())
-            on_car(done, len(driven))
+    cars, most = list(box_cars(scenario)), os.cpu_count() or 1
+    driven: deque[Future[Trace]] = deque()
+    with ThreadPoolExecutor(most) as beside:
+        ahead = iter(cars)
+        for done, (label, car) in enumerate(cars, 1):
+            for _, other in islice(ahead, most + 1 - len(driven)):
+                driven.append(beside.submit(to_the_end, drives.at_start(other, loss)))
+            found += drives.judged(label, car, loss, driven.popleft().result())
+            on_car(done, len(cars))
     return found
 
 

@@ -420,9 +420,14 @@ def plan(settings: CampaignSettings) -> Plan:
         raise ScenarioError(
             f"campaign {settings.name}: {made.runs} runs; must be at most {MOST_RUNS}"
         )
-    for point in made.samples:
-        values = made.values_at(point)
-        changes = made.changes_of(0, values)
-        made.base_of(values).require_keys(changes)
-        made.base_of(values).scenario_with(changes)
+    try:
+        for point in made.samples:
+            values = made.values_at(point)
+            changes = made.changes_of(0, values)
+            made.base_of(values).require_keys(changes)
+            made.base_of(values).scenario_with(changes)
+    except ScenarioError as error:
+        said = str(error).removeprefix("--set ")
+        where = "" if said.startswith("campaign ") else f"campaign {settings.name}: "
+        raise ScenarioError(f"{where}{said}") from None
     return made

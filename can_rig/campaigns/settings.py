@@ -348,7 +348,7 @@ def _alternatives(name: str, choices: dict[str, Any], table: str) -> Any:
         return given
     return {
         alternative: {
-            key: value if isinstance(value, dict) else {"values": [value]}
+            key: value if isinstance(value, dict | list) else {"values": [value]}
             for key, value in keys.items()
         }
         if isinstance(keys, dict)

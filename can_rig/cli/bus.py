@@ -26,7 +26,7 @@ NO_BOUND = "∞"
 @click.option(
     "--dbc",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Look at all messages of this DBC that have a cycle time, not at the scenario.",
+    help="Look at all messages of this database that have a cycle time, not at the scenario.",
 )
 @click.option(
     "--bitrate",

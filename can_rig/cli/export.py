@@ -81,9 +81,7 @@ FAULTS: Final[
 @click.option(
     "--runs",
     type=click.IntRange(1),
-    default=100,
-    show_default=True,
-    help="Of each campaign, from its first run on.",
+    help="Of each campaign, from its first run on.  [default: 100]",
 )
 @force_option
 def command(
@@ -95,7 +93,7 @@ def command(
     as_fmu: bool,
     with_evidence: bool,
     campaigns: tuple[str, ...],
-    runs: int,
+    runs: int | None,
     force: bool,
 ) -> None:
     """Write SCENARIO's controller as C99, with its constants and a makefile.
@@ -105,6 +103,8 @@ def command(
     """
     if campaigns and not with_evidence:
         raise click.UsageError("--campaign: must come with --evidence")
+    if runs is not None and not campaigns:
+        raise click.UsageError("--runs: must come with --evidence and --campaign")
     chosen = load(scenario, settings)
     if precision is not None:
         chosen = in_precision(chosen, precision)
@@ -121,7 +121,7 @@ def command(
     lines = sum(text.count("\n") for name, text in files.items() if name.endswith((".c", ".h")))
     say(f"{out}: {len(files)} files, {lines} lines of C")
     if with_evidence:
-        write(files | _record(chosen, files, plans, runs), out, force=True)
+        write(files | _record(chosen, files, plans, runs or 100), out, force=True)
         say(f"{out / 'evidence.html'}, and the same as evidence.json")
 
 

@@ -50,8 +50,8 @@ def command(
     refuse_existing(out, force, "--out")
     scenario, _, signals = read_run(run)
     drawn = scene(scenario, signals)
-    if drawn is None:
-        raise LogError(f"{run}: nothing to draw; the run has no tick")
+    if drawn is None or len(drawn["columns"]["time"]) < 2:
+        raise LogError(f"{run}: too short: a film needs a run of two ticks and more than 0.02 s")
     begin_s, end_s = span_of(drawn)
     begin_s, end_s = (begin_s if from_s is None else from_s), (end_s if to_s is None else to_s)
     last_s = float(drawn["columns"]["time"][-1])

@@ -40,17 +40,13 @@ def shipped_dbc(name: str) -> Path:
     return folder / name
 
 
-def load_dbc(path: str | Path, strict: bool = True) -> Database:
+def load_dbc(path: str | Path) -> Database:
     """Load the DBC at ``path``.
-
-    Args:
-        path: the file.
-        strict: whether to refuse overlapping signals and signals larger than their message.
 
     Raises:
         DbcError: an unreadable file, or a file other than a DBC.
     """
-    return _load(path, "dbc", strict)
+    return _load(path, "dbc", strict=True)
 
 
 def advice(text: str, error: BaseException) -> str:

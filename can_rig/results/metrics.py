@@ -616,9 +616,11 @@ def harm_metrics(
         if scenario.controller.is_ours:  # no other controller has a switch for its compensation
             other = uncompensated(scenario, signals).output_mps2
             without, path_without = _away(other, goal, scenario.tick_s)
-    force, limit_n = signals.force_difference_n, target(scenario, network_of(scenario)).limit_2
+    network = network_of(scenario)
+    force, limit_n = signals.force_difference_n, target(scenario, network).limit_2
     acts = ~lost & (np.abs(force) > ACTS * limit_n)
-    ratio = None if with_it is None or not without else with_it / without
+    least = max(network.feedback.lsb, 10.0**-DECIMALS)
+    ratio = None if with_it is None or without is None or without < least else with_it / without
     return {
         "deviation_peak_mps2": with_it,
         "deviation_peak_uncompensated_mps2": without,

@@ -45,10 +45,16 @@ def refusal(error: ValidationError, settings: type[Any], where: str = "") -> str
         return f"{key}.{message}" if key else message
     if kind == "dataclass_type":
         message = "must be a table"
+        if finding["ctx"]["class_name"] == "AxisSettings" and isinstance(finding["input"], list):
+            message += f", as {{ values = {finding['input']!r} }}"
     if kind == "missing" and isinstance(finding["input"], dict):
         return f"{key}: must be set"
     if kind == "missing":  # of a pair
         return f"{'.'.join(location[:-1])} = {finding['input']!r}: must have one more value"
+    if kind == "too_long":
+        message = f"must have at most {finding['ctx']['max_length']} values"
+    if kind == "bool_type" and location[-1] == "bool":  # of a value of any kind
+        key, message = key.removesuffix(".bool"), "must be a number, a text, true or false"
     if kind == "literal_error":
         message = _one_of(finding["input"], finding["ctx"]["expected"])
     for theirs, ours in WORDS.items():

@@ -78,6 +78,16 @@ def test_any_dbc_by_its_cycle_times(foreign):
         dbc_timing(foreign, 500_000, 250_000)
 
 
+def test_a_dbc_with_the_usual_slips_is_mended(foreign):
+    """An extended identifier without its highest bit, and words of a signal that is missing."""
+    text = foreign.read_text()
+    whole = dbc_timing(foreign, 500_000)
+    assert str(0x98FEF1FE) in text
+    text = text.replace(str(0x98FEF1FE), str(0x18FEF1FE)) + '\nVAL_ 291 Missing 0 "off" ;\n'
+    foreign.write_text(text)
+    assert dbc_timing(foreign, 500_000) == whole
+
+
 def test_a_file_that_is_no_dbc_is_one_line(tmp_path):
     (tmp_path / "x.dbc").write_text("not a DBC")
     for path, reason in (("x.dbc", "not a DBC"), ("missing.dbc", "cannot be read"), (".", "read")):

@@ -102,6 +102,7 @@ def test_a_fault_after_the_end_is_mentioned_in_one_line():
         (("--verbos",), "error: No such option '--verbos'."),
         (("chek",), "error: No such command 'chek'"),
         (("bus", "--bitrate", "0"), "error: Invalid value for '--bitrate': 0 is not in the range"),
+        (("export", "--out", "x", "--runs", "3"), "error: --runs: must come with --evidence and"),
         (("export", "default"), "error: Missing option '--out'. (see "),
         (("inject", "torque", "gone"), "error: torque gone: must be one of dead, stuck, "),
         (("inject", "sensor"), "error: sensor: must be one of biased, dead, "),

@@ -47,6 +47,13 @@ def test_a_healthy_car_without_alarms_deviates_from_nothing(compensation):
     assert (values["right_place"], values["wrong_place"]) == (None, False)
 
 
+def test_two_deviations_below_a_step_of_the_frame_have_no_ratio():
+    """A motor that has lost next to nothing moves the car by next to nothing, in either run."""
+    values = metrics_of(load("ideal", [*SHORT, "fault.left=0.9999999999999"]))
+    assert 0.0 < values["deviation_peak_uncompensated_mps2"] < 1e-8
+    assert values["deviation_over_uncompensated"] is None
+
+
 CAR = ("mass_kg", "speed_mps", "front_cornering_stiffness_n_per_rad",
        "rear_cornering_stiffness_n_per_rad")  # fmt: skip
 

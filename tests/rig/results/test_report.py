@@ -134,6 +134,13 @@ def test_the_curves_differ_in_grey(tmp_path):
     assert styles[0] != styles[1]
 
 
+def test_a_run_of_one_tick_is_drawn_as_points(tmp_path):
+    page = drawn(tmp_path, "thesis-step", "duration_s=0.001")
+    assert {axis.lines[0].get_marker() for axis in page.axes} == {"o"}
+    longer = drawn(tmp_path, "thesis-step", "duration_s=0.002")
+    assert {axis.lines[0].get_marker() for axis in longer.axes} == {"None"}
+
+
 @pytest.mark.parametrize(
     ("name", "frames"),
     [*(("thesis-step", frames) for frames in (0, 1, 503)), ("chapter-2", 503),

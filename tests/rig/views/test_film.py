@@ -131,6 +131,9 @@ def test_the_command_writes_a_film_of_a_run_folder(tmp_path):
         assert len([*ImageSequence.Iterator(film)]) == 3
     late = asked("film", "run", "--out", "y.gif", "--from", 5, "--to", 6)
     assert late.stderr == "error: --from 5: must be below 0.28 s, the end of the run\n"
+    assert asked("run", "ideal", "--set", "duration_s=0.001", "--in-process", "--out", "one")
+    short = asked("film", "one", "--out", "y.gif")
+    assert short.stderr.startswith("error: one: too short: a film needs a run of two ticks")
     again = asked("film", "run", "--out", "x.gif")
     assert again.returncode == 2
     assert "exists; choose" in again.stderr
