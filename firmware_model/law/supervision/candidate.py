@@ -1,8 +1,8 @@
 """One hypothesis: a signature of unknown size in d̂, from an onset on.
 
 A fault adds its size m times a signature f to d̂; f is known from the onset on. f is whitened like
-the noise, minus the part absorbed by the estimates of the car. Of all sizes between ``least`` and ``most`` the likeliest explains the innovations ν, of
-variance S, with the log-likelihood ratio
+the noise, minus the part absorbed by the estimates of the car. Of all sizes between ``least`` and
+``most`` the likeliest explains the innovations ν, of variance S, with the log-likelihood ratio
 
     m (c - ½ m i),    c = Σ f ν/S,  i = Σ f²/S,  m = c/i within its limits
 
