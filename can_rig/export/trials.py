@@ -74,7 +74,7 @@ SUMS = {
        ("evidence", "correlation", "information", "age")
        for row in (FORCE_ECHO_ROW, TORQUE_ECHO_ROW, FORCE_ROW, OFFSET_ROW)},
     "hypotheses.frozen": ("repetitions",),
-    "sequential_test": ("evidence", "correlation", "information", "age"),
+    "sequential_test.candidate": ("predicted", "correlation", "information", "age"),
 }  # fmt: skip
 """Sums of a state that are compared with one another, and are seldom negative in a drive."""
 LAST_TICKS = 65530  # the 16 bits of the tick end soon
@@ -335,12 +335,12 @@ def random_state(
     ):  # fmt: skip
         setattr(estimator, index, random.integers(0, max(size, 1)))
     if random.random() < 0.5:  # a candidate near its age limit
-        test = state.sequential_test
-        test.half_age, test.evidence = random.integers(2, 9), random.exponential()
-        test.age = 2.0 * test.half_age + random.integers(-2, 3)
-        test.half_information, test.information = np.sort(random.exponential(1.0, 2))
+        test, own = state.sequential_test, state.sequential_test.candidate
+        test.half_age, own.predicted = random.integers(2, 9), random.exponential()
+        own.age = 2.0 * test.half_age + random.integers(-2, 3)
+        test.half_information, own.information = np.sort(random.exponential(1.0, 2))
         if random.random() < 0.4:  # without evidence
-            test.delay[:], test.explained[:] = 0.0, 0.0
+            test.delay[:], own.explained[:] = 0.0, 0.0
     if random.random() < 0.3:
         state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
     if random.random() < 0.7 and not even:
@@ -364,7 +364,7 @@ def random_state(
             with np.errstate(over="ignore"):
                 echo.swing = random.choice([1e-2, 1.0]) * echo.error**2
             echo.stray = random.uniform(-1.0, 1.0) * echo.swing
-            state.sequential_test.evidence = random.exponential(100.0)
+            state.sequential_test.candidate.predicted = random.exponential(100.0)
         if random.random() < 0.2:  # of a motor that has lost a share
             share = random.uniform(0.0, 3.0)
             echo.turned, echo.swing = 0.0, random.choice([0.0, abs(echo.swing)])

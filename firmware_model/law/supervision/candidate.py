@@ -1,15 +1,15 @@
 """One hypothesis: a signature of unknown size in d̂, from an onset on.
 
-A fault adds its size m times a signature f to d̂; f is known from the onset on. As in
-``likelihood_ratio`` f is whitened like the noise, minus the part absorbed by the estimates of the
-car. Of all sizes between ``least`` and ``most`` the likeliest explains the innovations ν, of
-variance S, with the log-likelihood ratio
+A fault adds its size m times a signature f to d̂; f is known from the onset on. f is whitened like
+the noise, minus the part absorbed by the estimates of the car. Of all sizes between ``least`` and
+``most`` the likeliest explains the innovations ν, of variance S, with the log-likelihood ratio
 
     m (c - ½ m i),    c = Σ f ν/S,  i = Σ f²/S,  m = c/i within its limits
 
 the *evidence*. A size fitted afterwards does not prove the onset, so a second sum predicts each
 tick with the size of the tick before. A predicted sum below ``restart`` rejects the onset, and the
 present tick becomes the new onset; so does a candidate older than ``lifetime`` without a finding.
+For a lost torque the predicted size is given (``likelihood_ratio``).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class State(Struct):
     correlation: Annotated[float, "1", "c for a size of 1"]
     information: Annotated[float, "1", "i for a size of 1"]
     size_now: Annotated[float, "1", "m, in the unit of the signature"]
-    foretold: Annotated[float, "1", "log-likelihood ratio with the sizes of the ticks before"]
+    predicted: Annotated[float, "1", "log-likelihood ratio with the sizes of the ticks before"]
     evidence: Annotated[float, "1", "log-likelihood ratio with m"]
 
 
@@ -83,7 +83,7 @@ def take_in(
         own.explained[i] = known.memory[i] * (own.explained[i] + known.gain[i] * signature)
     weight = signature / known.variance
     correlation, information = weight * innovation, weight * signature
-    own.foretold += own.size_now * (correlation - half * own.size_now * information)
+    own.predicted += own.size_now * (correlation - half * own.size_now * information)
     own.correlation += correlation
     own.information += information
     own.age += real(1.0, shown)
@@ -103,7 +103,7 @@ def likeliest(correlation: float, information: float, limits: Limits) -> float:
 @firmware
 def has_failed(constants: Constants, own: State) -> bool:
     """Whether the onset is rejected, or too old to gain more evidence."""
-    if not (own.foretold > constants.restart and math.isfinite(own.evidence)):
+    if not (own.predicted > constants.restart and math.isfinite(own.evidence)):
         return True
     old: bool = own.age >= constants.lifetime and not own.evidence > constants.promising
     return old
@@ -121,4 +121,4 @@ def start(own: State) -> None:
 def count_anew(own: State) -> None:
     """Only later ticks are evidence of a fault whose onset stays."""
     own.age = own.correlation = own.information = 0.0
-    own.size_now = own.foretold = own.evidence = 0.0
+    own.size_now = own.predicted = own.evidence = 0.0

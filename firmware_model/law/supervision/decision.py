@@ -125,6 +125,7 @@ def decide(
     """
     test, known, own = state.sequential_test, state.mismatch, state.hypotheses
     loss, heard, seen, model = state.loss_model, state.echoes, state.witness, state.estimator
+    torque = test.candidate
     show_acting_commands(table, state)
     if table.corroboration.gust > 0.0:
         follow_residual(table.corroboration, state.corroboration, residual)
@@ -143,15 +144,14 @@ def decide(
         restart_test(table, state)
     command_2 = state.other_cars.command_2
     weigh_signatures(table, own.signatures, known, heard, command_2, own.verdict, new)
-    keep_before(own.signatures, test.age)
+    keep_before(own.signatures, torque.age)
     expected = model_1 + model_2 - fading - loss.share * w
     weigh_frozen(table, own.frozen, known, state.measurement, new, expected)
-    take_evidence(
-        table, own, known, heard, torque_evidence(table, known, test, before == CONFIRMED, share)
-    )
-    waits = torque_waits(table, state.corroboration, heard, seen, test.age)
+    evidence = torque_evidence(known, torque, before == CONFIRMED, share)
+    take_evidence(table, own, known, heard, evidence)
+    waits = torque_waits(table, state.corroboration, heard, seen, torque.age)
     believed = heard.actuators[TORQUE].believed
-    judge(table, own, known, heard, seen, waits, before == CONFIRMED, test.evidence)
+    judge(table, own, known, heard, seen, waits, before == CONFIRMED, torque.predicted)
     if heard.actuators[TORQUE].believed != believed:
         transfer_to_losses(table, state)
     if found_elsewhere(own):
@@ -163,7 +163,7 @@ def decide(
         contradicted = contradicts_share(table.echoes.actuators[TORQUE], echo, share)
         if contradicted and echo.lied == 0:
             hand_over_to_echo(table, state)
-        elif test.evidence > table.decision.recover:
+        elif torque.predicted > table.decision.recover:
             recover(table, state)
     else:
         look_for_loss(table, state, before, model_1)
@@ -173,16 +173,17 @@ def decide(
 def look_for_loss(table: Table, state: layout.State, before: int, model_1: float) -> None:
     """The fault state of a tick in which no loss is known; ``before``: of the tick before."""
     constants, test, seen = table.decision, state.sequential_test, state.witness
+    torque = test.candidate
     heard, echo = state.echoes, state.echoes.actuators[TORQUE]
     needed = needed_evidence(table, test, echo)
     echo.lied = 0
     if is_acquitted(table, state.hypotheses):
         state.fault_state = CANNOT_TELL
-    elif test.evidence > needed and not torque_waits(
-        table, state.corroboration, heard, seen, test.age
+    elif torque.predicted > needed and not torque_waits(
+        table, state.corroboration, heard, seen, torque.age
     ):
         confirm_or_believe(table, state)
-    elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
+    elif torque.predicted > constants.suspect or (before == SUSPECTED and torque.predicted > 0.0):
         state.fault_state = SUSPECTED
     else:
         shows = constants.shown * model_1 * model_1
@@ -245,7 +246,7 @@ def confirm_or_believe(table: Table, state: layout.State) -> None:
     signature of a wrong echo ends the belief.
     """
     told, echo = table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]
-    share = lost_share(table.sequential_test, state.sequential_test)
+    share = lost_share(table.sequential_test, state.sequential_test.candidate)
     contradicted = contradicts_share(told, echo, possible_share(share))
     if contradicted or (confesses(told, echo) and moves(told, echo)):
         share = told_share(told, echo)
@@ -256,7 +257,7 @@ def confirm_or_believe(table: Table, state: layout.State) -> None:
     elif echo.believed == 1:
         restart_test(table, state)
         state.fault_state = CLEAR
-    elif echo.doubted == 0 or row.evidence > half * state.sequential_test.evidence:
+    elif echo.doubted == 0 or row.evidence > half * state.sequential_test.candidate.predicted:
         believe_torque_echo(table, state)
         transfer_to_losses(table, state)
         restart_test(table, state)
@@ -328,9 +329,9 @@ def take_candidate(table: Table, state: layout.State, share: float, sign: float)
     From now on the filter learns the errors of share and moment.
     """
     constants, test, known = table.loss_model, state.sequential_test, state.mismatch
-    doubt = constants.doubt / max(test.information, table.decision.suspect)
+    doubt = constants.doubt / max(test.candidate.information, table.decision.suspect)
     doubt = max(doubt, constants.least_doubt)
-    moment = constants.moment * test.age
+    moment = constants.moment * test.candidate.age
     take_over_candidate(table, state.loss_model, known, test, share, sign)
     transfer_to_losses(table, state)
     forget_candidate(table, test, known, sign * share)

@@ -8,8 +8,8 @@ of a known signature: Basseville and Nikiforov, Detection of Abrupt Changes, 199
     g⁺ = g + (f ν - ½ f²)/S
 
 with ν the innovation of d̂ (``mismatch``), S its variance, and f the effect of a loss of ``share``
-on ν: w, whitened like the noise, minus the part absorbed by the estimates of the car. A g below -1
-rejects the moment, and the candidate restarts at this tick. An f that fades before a decision
+on ν. So g is the predicted evidence of a ``candidate`` whose size is given. A g below -1 rejects
+the moment, and the candidate restarts at this tick. An f that fades before a decision
 restarts the candidate too, because no more evidence can follow. The chance that a healthy car takes
 one candidate beyond h is e^-h at most (Wald), and there is at most one a tick: so h is the
 logarithm of the ticks between two false alarms, whatever the drive, and needs no tuning. A takeover
@@ -30,9 +30,8 @@ from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.core.estimator import pending_command
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
-from firmware_model.law.supervision import whitener
-from firmware_model.law.supervision.covariance import MAX_STATES
-from firmware_model.law.supervision.whitener import whiten
+from firmware_model.law.supervision import candidate
+from firmware_model.law.supervision.candidate import start, take_in
 
 if TYPE_CHECKING:
     from firmware_model.law.core import estimator
@@ -62,12 +61,7 @@ class State(Struct):
     ]
     delay: Annotated[FloatArray, "y", "ring of w on its way into d̂", (MAX_SHOWN_TICKS,)]
     previous_output: Annotated[float, "y", "w of the last tick"]
-    white: Annotated[whitener.State, "y", "memory of W for w"]
-    explained: Annotated[FloatArray, "1", "effect of w on θ", (MAX_STATES,)]
-    age: Annotated[float, "tick", "since the start"]
-    evidence: Annotated[float, "1", "g, log-likelihood ratio"]
-    correlation: Annotated[float, "1", "Σ ν f/S for a share of 1"]
-    information: Annotated[float, "1", "Σ f²/S for a share of 1"]
+    candidate: Annotated[candidate.State, "1", "fit of w to d̂; g is the predicted evidence"]
     half_age: Annotated[float, "tick", "age at the last check of growth"]
     half_information: Annotated[float, "1", "information at the last check of growth"]
     of_takeover: Annotated[int, "1", "1: the candidate began in a takeover"]
@@ -96,23 +90,13 @@ def update_test(
         innovation: ν.
         share: above 0 a loss is looked for, below 0 a return.
     """
-    first = known.covariance.first
-    signature = whiten(table.mismatch.whitener, test.white, shown)
-    for i in range(first, table.mismatch.n):
-        signature -= known.regressor[i] * test.explained[i]
-    for i in range(first, table.mismatch.n):
-        test.explained[i] = known.memory[i] * (test.explained[i] + known.gain[i] * signature)
-    correlation = signature * innovation / known.variance
-    information = signature * signature / known.variance
-    half = real(0.5, share)
-    test.evidence += share * (correlation - half * share * information)
-    test.correlation += correlation
-    test.information += information
-    test.age += real(1.0, share)
+    own, limits = test.candidate, table.hypotheses.torque_lost
+    own.size_now = share
+    take_in(table.mismatch, known, own, limits, shown, innovation)
     constants, none = table.sequential_test, real(0.0, share)
-    suspected = share > none and test.evidence > constants.promising
+    suspected = share > none and own.predicted > constants.promising
     stale = is_stale(constants, test) and not suspected
-    return stale or not test.evidence > constants.restart
+    return stale or not own.predicted > constants.restart
 
 
 @firmware
@@ -121,13 +105,13 @@ def is_stale(constants: Constants, test: State) -> bool:
 
     Neither a good part of the present information, nor enough for a decision.
     """
-    two = real(2.0, test.age)
-    if test.age < two * max(test.half_age, two):
+    own, two = test.candidate, real(2.0, test.half_age)
+    if own.age < two * max(test.half_age, two):
         return False
-    learnt = test.information - test.half_information
+    learnt = own.information - test.half_information
     fresh = min(constants.freshness * test.half_information, constants.needed)
-    test.half_age = test.age
-    test.half_information = test.information
+    test.half_age = own.age
+    test.half_information = own.information
     stale: bool = learnt < fresh
     return stale
 
@@ -141,11 +125,8 @@ def start_candidate(
     g1, shown = constants.channel_1, constants.shown_ticks_1
     test.channel_1.accumulators[:] = 0.0
     test.earlier.accumulators[:] = 0.0
-    test.explained[:] = 0.0
-    test.evidence = test.correlation = test.information = test.age = 0.0
-    test.previous_output = 0.0
-    test.white.memory[:] = 0.0
-    test.half_age = test.half_information = 0.0
+    start(test.candidate)
+    test.previous_output = test.half_age = test.half_information = 0.0
     test.of_takeover = of_takeover
     for i in range(shown):
         command = pending_command(constants, model, i)
@@ -173,19 +154,19 @@ def advance_candidate(table: Table, test: State, model: estimator.State, command
 def forget_candidate(table: Table, test: State, known: mismatch.State, share: float) -> None:
     """Remove the effect of ``share`` of w from θ: θ took the loss for another car."""
     for i in range(table.mismatch.n):
-        known.theta[i] -= share * test.explained[i]
+        known.theta[i] -= share * test.candidate.explained[i]
 
 
 @firmware
-def lost_share(constants: Constants, test: State) -> float:
+def lost_share(constants: Constants, own: candidate.State) -> float:
     """The share of channel 1 that explains ``innovation`` best, by least squares, 0 or above.
 
     Above 1 only if necessary: channel 1 then moves this car more than the model.
     """
-    zero, one = real(0.0, test.evidence), real(1.0, test.evidence)
-    if not test.information > zero:
+    zero, one = real(0.0, own.evidence), real(1.0, own.evidence)
+    if not own.information > zero:
         return one
-    best = test.correlation / test.information
-    least = best - constants.deviations / np.sqrt(test.information)
+    best = own.correlation / own.information
+    least = best - constants.deviations / np.sqrt(own.information)
     share: float = min(max(best, zero), max(one, least))
     return share

@@ -191,7 +191,7 @@ def take_over_candidate(
     add_signal(w, white.fading, before, white.lost)
     add_signal(w, white.fading, moment, white.earlier)
     white.lost.memory[:] = white.earlier.memory[:] = 0.0
-    add_signal(w, white.lost, sign, test.white)
+    add_signal(w, white.lost, sign, test.candidate.white)
     for i in range(table.estimator.shown_ticks_1):
         own.fading_delay[i] += before * own.delay[i] + shift
         own.delay[i] = sign * test.delay[i]

@@ -153,7 +153,7 @@ def add_missing(own: State, shown: float, residual: float) -> None:
 def is_over(own: State, verdict: int, rejected: bool, limit: float) -> bool:
     """Whether the onset of a lost channel 2 is over: ``rejected``, or the known loss has ended."""
     known = verdict == FORCE_LOST
-    works = known and not own.rows[FORCE_ROW].candidate.foretold > limit
+    works = known and not own.rows[FORCE_ROW].candidate.predicted > limit
     own.obeyed = 0
     if works:
         own.obeyed = 1

@@ -9,8 +9,8 @@ at the found place. The verdict stands until another fault is found; the same fa
 opposite sign ends the verdict. The known sensor errors add up; a small remaining sum ends the
 sensor verdict.
 
-A lost torque has a separate test, ``likelihood_ratio``; after confirmation the evidence is the
-learnt share in standard deviations from zero. Likewise another car: the evidence belongs to the
+``likelihood_ratio`` sets the onset of a lost torque; after confirmation the evidence is the learnt
+share in standard deviations from zero. Likewise another car: the evidence belongs to the
 direction with the clearest difference. Another car explains d̂ without any fault.
 """
 
@@ -23,15 +23,7 @@ from firmware_model.law.core.biquad import output
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray, Struct
-from firmware_model.law.supervision import (
-    candidate,
-    echoes,
-    likelihood_ratio,
-    mismatch,
-    signatures,
-    witness,
-)
-from firmware_model.law.supervision.candidate import likeliest
+from firmware_model.law.supervision import candidate, echoes, mismatch, signatures, witness
 from firmware_model.law.supervision.corroboration import sensor_waits
 from firmware_model.law.supervision.covariance import LOSS_STATES, variance_of
 from firmware_model.law.supervision.echoes import (
@@ -130,16 +122,11 @@ def take_evidence(
 
 
 @firmware
-def torque_evidence(
-    table: Table, known: mismatch.State, test: likelihood_ratio.State, lost: bool, share: float
-) -> float:
+def torque_evidence(known: mismatch.State, own: candidate.State, lost: bool, share: float) -> float:
     """The evidence of a lost torque: from the test, or where ``lost`` from the known share."""
-    limits, half = table.hypotheses.torque_lost, real(0.5, share)
     if lost:
-        return half * share * share / variance_of(known.covariance, 0)
-    likely = likeliest(test.correlation, test.information, limits)
-    evidence: float = likely * (test.correlation - half * likely * test.information)
-    return evidence
+        return real(0.5, share) * share * share / variance_of(known.covariance, 0)
+    return own.evidence
 
 
 @firmware

@@ -95,7 +95,7 @@ def weigh(table: Any, state: Any, innovation: float) -> None:
     weigh_signatures(
         table, own.signatures, state.mismatch, state.echoes, command_2, own.verdict, innovation
     )
-    keep_before(own.signatures, state.sequential_test.age)
+    keep_before(own.signatures, state.sequential_test.candidate.age)
 
 
 def tick_on(table: Any, state: Any) -> None:

@@ -86,7 +86,7 @@ def test_behind_the_whitener_s_w_is_continuous_too(sign):
     """The innovation subtracts s W w: after the take-over the sum of both that were known."""
     table = build(DESIGN, Target(TICK_S, noise_rms=0.01, noise_pole=0.6, disturbance=0.2))
     state = controller.init(table)[0]
-    w, candidate = state.mismatch.white.lost, state.sequential_test.white
+    w, candidate = state.mismatch.white.lost, state.sequential_test.candidate.white
     for old, new in np.random.default_rng(2).standard_normal((9, 2)):
         whiten(table.mismatch.whitener, w, old)
         whiten(table.mismatch.whitener, candidate, new)
@@ -94,7 +94,7 @@ def test_behind_the_whitener_s_w_is_continuous_too(sign):
     apart, share = state.copy(), 0.8
     take_over_candidate(table, state.loss_model, state.mismatch, state.sequential_test, share, sign)
     now, before = state.mismatch.white, apart.mismatch.white
-    signals = (now.fading, now.lost, before.lost, apart.sequential_test.white)
+    signals = (now.fading, now.lost, before.lost, apart.sequential_test.candidate.white)
     for _ in range(6):  # whatever comes: here, nothing
         fading, lost, old, new = (whiten(table.mismatch.whitener, each, 0.0) for each in signals)
         assert fading + share * lost == pytest.approx(0.5 * old + sign * share * new, abs=1e-12)

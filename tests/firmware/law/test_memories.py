@@ -76,9 +76,11 @@ def answers(table: Any, state: Any, ticks: int = 25) -> list[list[float]]:
     for k in range(ticks):
         measurement = math.nan if k in (4, 5) else 0.4 + 0.01 * draw.standard_normal()
         controller.step(table, state, 0.4 + 0.01 * k, measurement)
-        test, known = state.sequential_test, state.mismatch
+        torque, known = state.sequential_test.candidate, state.mismatch
         said = (state.command_1, state.command_2, state.fault_estimate, state.mode)
-        rows.append([*said, state.fault_state, test.evidence, *known.theta, *known.x, known.change])
+        rows.append(
+            [*said, state.fault_state, torque.predicted, *known.theta, *known.x, known.change]
+        )
     return [[float(number) for number in row] for row in rows]
 
 

@@ -43,7 +43,7 @@ def begun(variance: float = 1.0) -> tuple[Any, Any]:
     return table, state
 
 
-def test_what_is_foretold_is_told_with_the_size_of_the_tick_before():
+def test_what_is_predicted_is_told_with_the_size_of_the_tick_before():
     """Against the densities of white noise; the size is that of a weighted regression."""
     table, state = begun()
     draw = np.random.default_rng(3)
@@ -65,20 +65,20 @@ def test_what_is_foretold_is_told_with_the_size_of_the_tick_before():
         )
     fitted = np.cumsum(f * new / sigma**2) / np.cumsum(f**2 / sigma**2)
     before = np.concatenate([[0.0], fitted[:-1]])
-    foretold = stats.norm.logpdf(new, before * f, sigma) - stats.norm.logpdf(new, 0.0, sigma)
-    assert own.foretold == pytest.approx(foretold.sum(), rel=1e-9)
+    predicted = stats.norm.logpdf(new, before * f, sigma) - stats.norm.logpdf(new, 0.0, sigma)
+    assert own.predicted == pytest.approx(predicted.sum(), rel=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("age", "evidence", "foretold", "failed"),
+    ("age", "evidence", "predicted", "failed"),
     [(1.0, 0.0, -1.0, True), (1.0, 0.0, -BELOW, False), (10.0, 0.0, math.nan, True),
      (10.0, math.nan, 0.0, True), (1000.0, 8.0, 0.0, True), (1000.0, 8.0 * ABOVE, 0.0, False),
      (1000.0 * BELOW, 8.0, 0.0, False)],
 )  # fmt: skip
-def test_the_last_number_with_which_a_candidate_is_given_up(age, evidence, foretold, failed):
+def test_the_last_number_with_which_a_candidate_is_given_up(age, evidence, predicted, failed):
     table, state = begun()
     own = state.hypotheses.signatures.rows[OFFSET_ROW].candidate
-    own.age, own.evidence, own.foretold = age, evidence, foretold
+    own.age, own.evidence, own.predicted = age, evidence, predicted
     assert has_failed(table.hypotheses.signatures.candidate, own) == failed
 
 
@@ -98,9 +98,9 @@ def test_a_fault_of_an_actuator_begins_again_where_its_onset_was_none(name):
     table, state = begun()
     own = state.hypotheses.signatures
     fresh = own.rows[ROW[name]].tobytes()
-    own.rows[ROW[name]].candidate.foretold = -2.0
+    own.rows[ROW[name]].candidate.predicted = -2.0
     own.rows[ROW[name]].answer.accumulators[:] = own.commanded = own.missing = own.before = 7.0
-    state.sequential_test.age = 3.0
+    state.sequential_test.candidate.age = 3.0
     weigh(table, state, 0.0)
     assert own.rows[ROW[name]].tobytes() == fresh
     assert (own.commanded == own.missing == own.before == 0.0) == (name == "force_lost")
@@ -110,7 +110,7 @@ def test_the_evidence_of_before_is_that_at_the_last_onset_of_a_loss_of_channel_1
     table, state = begun()
     own, evidence = state.hypotheses.signatures, []
     for age in (4.0, 0.0, 1.0, 2.0):
-        state.other_cars.command_2, state.sequential_test.age = 1000.0, age
+        state.other_cars.command_2, state.sequential_test.candidate.age = 1000.0, age
         weigh(table, state, 0.5)
         tick_on(table, state)
         evidence.append(float(own.rows[FORCE_ROW].candidate.evidence))
@@ -152,11 +152,11 @@ def test_an_offset_takes_away_from_a_plant_that_answers_at_once_too():
 
 @pytest.mark.parametrize("name", ["sensor_biased", "sensor_drifting"])
 @pytest.mark.parametrize(
-    ("fresh", "foretold", "begins"),
+    ("fresh", "predicted", "begins"),
     [(0.9, 0.0, False), (1.1, 0.0, True), (0.9, -2.0, True), (1.1, -2.0, True)],
 )
 def test_a_sensor_errs_from_now_on_where_this_tick_alone_explains_more(
-    name, fresh, foretold, begins
+    name, fresh, predicted, begins
 ):
     """Than the evidence of 1, about which so much is known that a tick adds nothing.
 
@@ -168,7 +168,7 @@ def test_a_sensor_errs_from_now_on_where_this_tick_alone_explains_more(
     own, new = state.hypotheses.signatures, math.sqrt(2.0 * 0.25 * fresh)
     own.rows[DRIFT_ROW].ramp, candidate = -10.0, own.rows[ROW[name]].candidate
     candidate.information, candidate.correlation = 1e9, math.sqrt(2.0 * 1e9)
-    candidate.age, candidate.foretold = 10.0, foretold
+    candidate.age, candidate.predicted = 10.0, predicted
     own.rows[ROW[name]].answer.accumulators[0, 0] = 7.0
     weigh(table, state, new)
     if begins:

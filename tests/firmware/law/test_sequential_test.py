@@ -59,10 +59,10 @@ def drive(tables: Records[Table], measured: FloatArray, starts: tuple[int, ...] 
         controller.step(tables[0], state, math.sin(0.05 * k), y)
         known = state.mismatch
         rows.append((
-            state.command_1, state.fault_estimate, state.sequential_test.evidence,
+            state.command_1, state.fault_estimate, state.sequential_test.candidate.predicted,
             known.regressor.copy(), known.memory.copy(),
             known.extent, known.change, known.remainder,
-            lost_share(tables[0].sequential_test, state.sequential_test),
+            lost_share(tables[0].sequential_test, state.sequential_test.candidate),
         ))  # fmt: skip
     return Run(*(np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)))
 
@@ -183,7 +183,7 @@ def test_the_share_is_the_part_of_the_torque_that_is_lost(left):
         working = left if k >= lost else 1.0
         u1, u2 = working * float(state.command_1), float(state.command_2)
         y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, u1, u2)
-        shares = float(lost_share(tables[0].sequential_test, state.sequential_test))
+        shares = float(lost_share(tables[0].sequential_test, state.sequential_test.candidate))
     assert shares == pytest.approx(1.0 - left, abs=0.02)
 
 
@@ -194,7 +194,7 @@ def test_a_candidate_is_as_old_as_the_ticks_that_it_has_seen():
         if k == 5:
             restart_test(tables[0], state)
         controller.step(tables[0], state, 0.1 * k, 0.0)
-        ages.append(int(state.sequential_test.age))
+        ages.append(int(state.sequential_test.candidate.age))
     assert ages == [1, 2, 3, 4, 5, 1, 2, 3]
 
 
@@ -221,9 +221,9 @@ def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency):
 def test_evidence_that_overflowed_begins_again():
     tables: NDArray[Any] = changed(build(DESIGN, target()), decision=NEVER)
     state = controller.init(tables[0])[0]
-    state.sequential_test.evidence = math.nan
+    state.sequential_test.candidate.predicted = math.nan
     controller.step(tables[0], state, 1.0, 0.0)
-    assert state.sequential_test.evidence == 0.0
+    assert state.sequential_test.candidate.predicted == 0.0
 
 
 @pytest.mark.every_case
@@ -244,6 +244,6 @@ def test_a_candidate_twice_as_old_that_has_learnt_little_is_stale(
     numbers = {"freshness": 0.1, "needed": 24.0}
     table = changed(build(DESIGN, Target(TICK_S, 1, "zoh")), sequential_test=numbers)[0]
     test = controller.init(table)[0].sequential_test
-    test.age, test.half_age = age, half_age
-    test.information, test.half_information = information, half_information
+    test.candidate.age, test.half_age = age, half_age
+    test.candidate.information, test.half_information = information, half_information
     assert is_stale(table.sequential_test, test) == stale

@@ -113,7 +113,8 @@ def test_the_doubt_about_a_loss_is_what_the_evidence_leaves_of_it(
     table, _ = learner()
     tables = changed(table, decision={"suspect": suspect})
     state = controller.init(tables[0])[0]
-    state.sequential_test.information, state.sequential_test.age = information, 30.0
+    weighed = state.sequential_test.candidate
+    weighed.information, weighed.age = information, 30.0
     happens(tables[0], state)
     assert state.mismatch.covariance.variances[1] == pytest.approx(15.0**2)
     assert state.mismatch.covariance.variances[0] == pytest.approx(variance)

@@ -11,6 +11,7 @@ from firmware_model.law import controller
 from firmware_model.law.layout import Table
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import Records
+from firmware_model.law.supervision.likelihood_ratio import update_test
 from firmware_model.law.supervision.signatures import DRIFT_ROW, OFFSET_ROW
 from firmware_model.law.supervision.verdict import judge, other_car_evidence, torque_evidence
 from tests.firmware.law.cases import DESIGN, ROW, TICK_S, changed, covariance_of, other_cars
@@ -46,7 +47,7 @@ def judge_in(state: Any) -> None:
     lost, test = state.fault_state == FaultState.CONFIRMED, state.sequential_test
     judge(
         TABLES[0], state.hypotheses, state.mismatch, state.echoes, state.witness,
-        False, lost, test.evidence,
+        False, lost, test.candidate.predicted,
     )  # fmt: skip
 
 
@@ -214,9 +215,9 @@ def test_of_a_confirmed_loss_it_is_asked_whether_the_other_channel_is_lost_too(
 
 def test_the_end_of_a_confirmed_loss_competes_with_the_loss_of_the_other_channel():
     state = silent(state_of(lost=True))
-    state.sequential_test.evidence = 41.0
+    state.sequential_test.candidate.predicted = 41.0
     assert judged(state, lost=30.0, force=140.0) == Verdict.TORQUE_LOST
-    state.sequential_test.evidence = 39.0
+    state.sequential_test.candidate.predicted = 39.0
     assert judged(state, lost=30.0, force=140.0) == Verdict.BOTH_LOST
 
 
@@ -237,23 +238,21 @@ def with_learnt_car(tables: Records[Table], lost: bool) -> Any:
 def test_of_a_confirmed_loss_the_evidence_is_how_far_its_share_is_from_none():
     state = with_learnt_car(TABLES, lost=True)
     variance = covariance_of(state.mismatch)[0, 0]
-    assert torque_evidence(
-        TABLES[0], state.mismatch, state.sequential_test, True, 0.6
-    ) == pytest.approx(0.5 * 0.6**2 / variance)
+    found = torque_evidence(state.mismatch, state.sequential_test.candidate, True, 0.6)
+    assert found == pytest.approx(0.5 * 0.6**2 / variance)
 
 
 @pytest.mark.parametrize(
-    ("correlation", "information", "evidence"),
-    [(8.0, 16.0, 2.0), (48.0, 16.0, 54.0), (0.0, 0.0, 0.0), (-8.0, 16.0, 2.0)],
+    ("new", "shown", "evidence"),
+    [(0.5, 1.0, 2.0), (3.0, 1.0, 54.0), (3.0, 0.0, 0.0), (-0.5, 1.0, 2.0)],
 )
-def test_before_that_it_is_that_of_the_share_which_explains_most(
-    correlation, information, evidence
-):
-    """c²/2i, or with the largest share that a car may have, 1.5."""
-    state = with_learnt_car(TABLES, lost=False)
-    test = state.sequential_test
-    test.correlation, test.information = correlation, information
-    found = torque_evidence(TABLES[0], state.mismatch, test, False, 0.6)
+def test_before_that_it_is_that_of_the_share_which_explains_most(new, shown, evidence):
+    """ν²/2S, or with the largest share that a car may have, 1.5."""
+    table = build(DESIGN, Target(TICK_S, 1, "zoh"))
+    state = controller.init(table)[0]
+    state.mismatch.variance = 1.0 / 16.0
+    update_test(table, state.sequential_test, state.mismatch, shown, new, 0.8)
+    found = torque_evidence(state.mismatch, state.sequential_test.candidate, False, 0.6)
     assert found == pytest.approx(evidence)
 
 
