@@ -146,7 +146,7 @@ def page(
         axis.set_ylabel(style.labelled(name, unit), fontsize=9)
     axes[4].set_xlabel("time in s")
     for line in (line for axis in figure.axes for line in axis.lines):
-        if len(line.get_xdata()) == 1:  # a run of one tick
+        if np.size(line.get_xdata()) == 1:  # a run of one tick
             line.set_marker("o")
     figure.align_ylabels(axes)
     return figure
