@@ -140,7 +140,7 @@ def write_block(path: Path, rows: Iterable[dict[str, Any]], columns: pa.Schema) 
         for row in rows
     ]
     with atomic(path, force=True) as part:
-        parquet.write_table(pa.Table.from_pylist(given, schema=columns), part)
+        parquet.write_table(pa.Table.from_pylist(given, schema=columns), part.absolute())
 
 
 def put_together(blocks: Sequence[Path], path: Path) -> None:
@@ -154,11 +154,14 @@ def put_together(blocks: Sequence[Path], path: Path) -> None:
     import pyarrow as pa  # noqa: PLC0415 (slow to import)
     from pyarrow import parquet  # noqa: PLC0415
 
-    columns = parquet.read_schema(blocks[0])
-    with atomic(path, force=True) as part, parquet.ParquetWriter(part, columns) as writer:
+    columns = parquet.read_schema(blocks[0].absolute())
+    with (
+        atomic(path, force=True) as part,
+        parquet.ParquetWriter(part.absolute(), columns) as writer,
+    ):
         waiting: list[pa.Table] = []
         for block in blocks:
-            waiting.append(parquet.read_table(block))
+            waiting.append(parquet.read_table(block.absolute()))
             if sum(len(table) for table in waiting) >= ROW_GROUP:
                 writer.write_table(pa.concat_tables(waiting))
                 waiting = []
@@ -170,7 +173,7 @@ def read_columns(path: Path, names: Sequence[str] | None = None) -> dict[str, li
     """Columns of a table by name; None: all."""
     from pyarrow import parquet  # noqa: PLC0415 (slow to import)
 
-    table = parquet.read_table(path, columns=None if names is None else list(names))
+    table = parquet.read_table(path.absolute(), columns=None if names is None else list(names))
     return {str(name): table[name].to_pylist() for name in table.column_names}
 
 

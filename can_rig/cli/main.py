@@ -75,6 +75,8 @@ class Commands(click.Group):
                 return super().invoke(ctx)
         except RigError as error:
             _refuse(str(error), error.exit_status)
+        except UnicodeEncodeError as error:  # bytes of a file name
+            _refuse(f"{error.object}: must be a name in UTF-8", 2)
         except KeyboardInterrupt:  # where no command has taken the signal for a wish to stop
             sys.exit(INTERRUPTED)
 

@@ -95,8 +95,8 @@ class _Table:
         self._schema = pa.schema([time, *zip(names, fields.values(), strict=True)])
         self._writer: Any = (
             pyarrow.csv.CSVWriter(path, self._schema)
-            if is_csv
-            else pyarrow.parquet.ParquetWriter(path, self._schema, compression="zstd")
+            if is_csv  # a relative path with a colon is a URI to pyarrow
+            else pyarrow.parquet.ParquetWriter(path.absolute(), self._schema, compression="zstd")
         )
         self._held: list[Any] = []
         self.cells = 0

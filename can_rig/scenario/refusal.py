@@ -41,6 +41,8 @@ def refusal(error: ValidationError, settings: type[Any], where: str = "") -> str
         near += difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
         return f"{key}: unknown key; {hint}"
+    if kind == "json_invalid":
+        return "every name and text must be UTF-8"
     if kind == "value_error":
         return f"{key}.{message}" if key else message
     if kind == "dataclass_type":

@@ -52,6 +52,17 @@ def test_a_full_disk_at_standard_output_is_one_line(words):
     assert done.stderr == ("error: standard output cannot be written: No space left on device\n")
 
 
+def test_names_of_any_bytes_are_taken_or_refused_in_a_line(tmp_path):
+    (tmp_path / "s3:d").mkdir()
+    assert rig("decode", LOG, "--out", "s3:d/x.parquet", cwd=tmp_path).returncode == 0
+    other = tmp_path / os.fsdecode(b"d\xf6.toml")
+    other.write_text("")
+    for words in (("decode", LOG, "--out", other.with_suffix("")), ("check", other)):
+        done = rig(*words, cwd=tmp_path)
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+        assert "UTF-8" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("files", "words"), [(6, ("run", *SHORT)), (12, ("campaign", "losses", "--runs", "2"))]
 )
