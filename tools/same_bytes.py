@@ -1,6 +1,6 @@
-"""Whether every controller puts the same bytes on the bus, in runs of the campaign faults.
+"""Whether every controller puts the same bytes on the bus, in runs of a campaign.
 
-Its first runs have faults of every kind, one or two at a time, noise and other cars. Each is driven
+The first runs of ``faults`` have faults of every kind, noise and other cars. Each run is driven
 by the law in Python and by each other controller, in both precisions, and the logs are compared.
 """
 
@@ -32,11 +32,12 @@ WITHOUT_PROMISE = ("arm:m4f", "float64")
 
 
 @click.command()
+@click.option("--campaign", default="faults", show_default=True, help="A shipped one.")
 @click.option("--runs", default=20, show_default=True, help="The first ones of the campaign.")
 @click.option("--duration", "duration_s", default=8.0, show_default=True, help="Of each, in s.")
-def main(runs: int, duration_s: float) -> None:
+def main(campaign: str, runs: int, duration_s: float) -> None:
     """Compare bus.log of every controller with that of the law in Python."""
-    drawn = plan(read_campaign("faults"))
+    drawn = plan(read_campaign(campaign))
     different, kinds = 0, Counter[str]()
     console = Console()
     for index in track(range(runs), console=Console(stderr=True)):
