@@ -127,6 +127,7 @@ class Screen:
         self._kept = 0
         self._updates = 0
         self._end: asyncio.Task[None] | None = None
+        self._starting = asyncio.Lock()
         self.events: list[dict[str, Any]] = []
         """What the plant node was told, with the time of the run from which it acts."""
         self._frames: deque[tuple[float, can.Message]] = deque(maxlen=MOST_FRAMES)
@@ -167,12 +168,15 @@ class Screen:
         await asyncio.gather(*(viewer.close() for viewer in tuple(self.viewers)))
 
     async def start(self) -> None:
-        """Start the scenario's run, with an empty screen."""
-        if self.session.running:
-            return
-        self.show(self.session)
-        await self.session.start()
-        self._end = asyncio.create_task(self.session.ended())
+        """Start the scenario's run, with an empty screen, after the whole end of another."""
+        async with self._starting:
+            if self.session.running:
+                return
+            if self._end is not None:
+                await self._end
+            self.show(self.session)
+            await self.session.start()
+            self._end = asyncio.create_task(self.session.ended())
 
     def show(self, session: Session) -> None:
         """Show ``session`` from its start."""

@@ -19,8 +19,8 @@ from can_rig.plant.faults.injection import require_possible
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
-ENDED_WELL: Final = (0, INTERRUPTED)
-"""Exit statuses of a run that ended by itself or was stopped."""
+ENDED_WELL: Final = (0, INTERRUPTED, -signal.SIGTERM)
+"""Exit statuses of a run that ended by itself or was stopped, perhaps while Python started."""
 
 NEAR_S: Final = 1.0
 """Before the end of a run, the panel may lack ticks of nodes that have ended as planned."""

@@ -36,6 +36,8 @@ def refusal(error: ValidationError, settings: type[Any], where: str = "") -> str
     key = ".".join([where, *location] if where else location)
     kind, message = finding["type"], finding["msg"].removeprefix("Value error, ")
     if kind == "unexpected_keyword_argument":
+        if "." in location[-1]:
+            return f'"{key}": must stand without quotation marks, as {key}'
         known = _keys(settings, location[:-1])
         near = [each for each in keys(settings) if each.endswith(f".{key}")]
         near += difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)

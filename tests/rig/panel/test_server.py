@@ -211,6 +211,36 @@ def test_a_second_start_shows_from_tick_0(tmp_path, monkeypatch):
     asyncio.run(test())
 
 
+def test_starts_at_once_are_one_run_and_a_start_waits_for_the_last_run_s_end(monkeypatch):
+    begun, noted = [], []
+
+    async def process(*_words, **_options):
+        await asyncio.sleep(0.01)
+        begun.append(SimpleNamespace(returncode=None))
+        return begun[-1]
+
+    async def ended(session):
+        while session._process.returncode is None:
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(0.1)
+        noted.append(len(begun))
+
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", process)
+    monkeypatch.setattr(Session, "ended", ended)
+
+    async def test():
+        screen = Screen(Session("virtual:starts", load("ideal"), "ideal"), [], None)
+        await asyncio.gather(screen.start(), screen.start())
+        assert len(begun) == 1
+        begun[0].returncode = 0
+        await screen.start()
+        assert (noted, len(begun)) == ([1], 2)
+        begun[1].returncode = 0
+        await screen.close()
+
+    asyncio.run(test())
+
+
 @pytest.mark.parametrize("there", ["mine.toml", "mine.csv"])
 def test_a_file_that_is_there_is_not_replaced_and_nothing_is_left_beside_it(tmp_path, there):
     Path(there).write_text("mine")

@@ -157,6 +157,7 @@ def test_a_run_of_the_panel_that_falls_silent_early_was_not_ended_as_planned(
     [
         (0, json.dumps({"folder": "runs/x"}), "", "ended", "runs/x", True),
         (130, json.dumps({"folder": "runs/x"}), "", "ended", "was stopped", True),
+        (-15, "", "", "ended", "was stopped", False),
         (130, "", "stopped before the first tick", "ended", "no folder is left", False),
         (3, "", "error: the controller node is silent", "failed", "node is silent", False),
     ],

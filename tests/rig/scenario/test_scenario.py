@@ -215,6 +215,7 @@ FILES = {
     "a long number": (b"seed = " + 5001 * b"9", "not readable as TOML: a number must have at most"),
     "not text": (b"\xff\xfe\x00", "not readable as TOML"),
     "unknown table": (b"[fualt]\nat_s = 1.0\n", "fualt: unknown key; did you mean fault?"),
+    "quotes": (b'"plant.mass_kg" = 9.0', '"plant.mass_kg": must stand without quotation marks'),
     "unknown key": (b"[fault]\nat = 1.0\n", "fault.at: unknown key; did you mean at_s?"),
     "key of a table": (
         b"speed_mps = 20\n",
