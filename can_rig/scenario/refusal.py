@@ -36,16 +36,10 @@ def refusal(error: ValidationError, settings: type[Any], where: str = "") -> str
     key = ".".join([where, *location] if where else location)
     kind, message = finding["type"], finding["msg"].removeprefix("Value error, ")
     if kind == "unexpected_keyword_argument":
-        if "." in location[-1]:
-            return f'"{key}": must stand without quotation marks, as {key}'
-        known = _keys(settings, location[:-1])
-        near = [each for each in keys(settings) if each.endswith(f".{key}")]
-        near += difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
-        return f"{key}: unknown key; {hint}"
+        return _unknown(settings, key, location)
     if kind == "json_invalid":
-        return "every name and text must be UTF-8"
-    if kind == "value_error":
+        key, message = "", "every name and text must be UTF-8"
+    if kind in {"json_invalid", "value_error"}:
         return f"{key}.{message}" if key else message
     if kind == "dataclass_type":
         message = "must be a table"
@@ -66,6 +60,17 @@ def refusal(error: ValidationError, settings: type[Any], where: str = "") -> str
     if kind in {"float_parsing", "float_type", "int_parsing", "int_type"}:
         message += _as_toml(finding["input"])
     return f"{key} = {finding['input']!r}: {message}"
+
+
+def _unknown(settings: type[Any], key: str, location: Sequence[str]) -> str:
+    """What is wrong with a key that ``settings`` lacks."""
+    if "." in location[-1]:
+        return f'"{key}": must stand without quotation marks, as {key}'
+    known = _keys(settings, location[:-1])
+    near = [each for each in keys(settings) if each.endswith(f".{key}")]
+    near += difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
+    return f"{key}: unknown key; {hint}"
 
 
 def _as_toml(value: Any) -> str:
