@@ -24,12 +24,7 @@ def _controllers(_c: click.Context, _p: click.Parameter, begun: str) -> list[Com
 @click.argument("controllers", nargs=-1, required=True, shell_complete=_controllers)
 @click.option("--scenario", default="default", show_default=True, metavar="NAME", help="To run.")
 @click.option(
-    "--cases",
-    "groups",
-    default="faults",
-    show_default=True,
-    metavar=",".join(CASES),
-    help="Groups of cases.",
+    "--cases", "groups", metavar=",".join(CASES), help="Groups of cases.  [default: faults]"
 )
 @click.option(
     "--case",
@@ -45,7 +40,7 @@ def _controllers(_c: click.Context, _p: click.Parameter, begun: str) -> list[Com
 def command(
     controllers: tuple[str, ...],
     scenario: str,
-    groups: str,
+    groups: str | None,
     own: tuple[str, ...],
     settings: tuple[str, ...],
     out: Path | None,
@@ -98,23 +93,27 @@ def _cells(row: Compared) -> Sequence[str]:
     return (*(f"{size:.4f}" for size in sizes), alarm, *(f"{peak:.0f}" for peak in peaks))
 
 
-def _cases(groups: str, own: Sequence[str]) -> dict[str, dict[str, object]]:
+def _cases(groups: str | None, own: Sequence[str]) -> dict[str, dict[str, object]]:
     """The cases by name.
 
     Raises:
-        ScenarioError: an unknown group, or a case without changes.
+        ScenarioError: an unknown group, groups beside own cases, or a case without a name.
     """
+    if own and groups is not None:
+        raise ScenarioError(f"--cases {groups}: must not stand beside --case")
     cases: dict[str, dict[str, object]] = {}
     for text in own:
         name, colon, changes = text.partition(":")
         if not (name and colon):
             raise ScenarioError(f"--case {text}: must be NAME:KEY=VALUE,KEY=VALUE")
+        if name in cases:
+            raise ScenarioError(f"--case {text}: must have another name than an earlier case")
         cases[name] = {}
         for setting in filter(None, changes.split(",")):
             change(cases[name], setting)
     if cases:
         return cases
-    for group in groups.split(","):
+    for group in ("faults" if groups is None else groups).split(","):
         if group not in CASES:
             raise ScenarioError(f"--cases {group}: must be {', '.join(CASES)}")
         cases |= {name: dict(changes) for name, changes in CASES[group].items()}

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Annotated, Any, Final, Literal, get_args, get_type_hints
 
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 from pydantic.dataclasses import dataclass
 
 from can_rig.scenario.controller_settings import ControllerSettings
@@ -307,7 +307,7 @@ class BudgetSettings:
     disturbance_mps2: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     gust_mps2: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     peak_sensitivity: Annotated[float, Field(gt=1.0)] = 5.0
-    spare_ticks: NonNegativeInt = 0
+    spare_ticks: Annotated[int, Field(ge=0, le=MAX_LATENCY_TICKS)] = 0
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -22,7 +22,7 @@ from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.signals import Signals
 from can_rig.scenario.controller_settings import PEERS
 from can_rig.scenario.from_python import settings_of
-from can_rig.scenario.loading import Changes
+from can_rig.scenario.loading import Changes, written
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
@@ -214,6 +214,8 @@ def _scenario(
         else:
             raise ScenarioError(f"{key} = {value!r}: must be a factor of a key of plant or model")
     if controller.endswith(".toml"):
+        if not written(controller).values.get("controller"):
+            raise ScenarioError(f"{controller}: must have a table [controller]; no other counts")
         kind = resolve.load(controller, ()).controller
         return replace(load(settings_of(own)), controller=kind)
     own["controller.kind"] = controller

@@ -22,7 +22,7 @@ import numpy as np
 from can_rig.assessment.drives import Drives, Finding
 from can_rig.assessment.limitations import unavoidable
 from can_rig.drawing.names import names_of, with_unit
-from can_rig.errors import ScenarioError
+from can_rig.errors import ScenarioError, did_you_mean
 from can_rig.scenario.box import plant_of_box, uncertain, with_lags, with_values
 from can_rig.scenario.build import continuous_design, continuous_plant, network_of, slowness, target
 from can_rig.scenario.plant_settings import PlantSettings
@@ -95,9 +95,8 @@ def parameter_ranges(
             box[key] = (1.0, 0.0)
         if key not in keys or not box[key][0] <= box[key][1]:
             example = "plant.speed_mps=8..12" if nominal.is_car else f"plant.{keys[0]}=0.8..1.2"
-            raise ScenarioError(
-                f"--box-set {setting}: must be plant.KEY=LOW..HIGH, as in {example}"
-            )
+            hint = did_you_mean(key, [] if key in keys else keys, f"as in {example}")
+            raise ScenarioError(f"--box-set {setting}: must be plant.KEY=LOW..HIGH, {hint}")
     if len(box) > MAX_KEYS:
         raise ScenarioError(f"box: {len(box)} parameters; must be at most {MAX_KEYS}")
     return box

@@ -39,6 +39,7 @@ from can_rig.assessment.tuning.candidate import (
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant, require_ours
 from can_rig.scenario.settings import Scenario
+from firmware_model.law.structs import MAX_LATENCY_TICKS
 
 FEWEST_A_WORKER = 16  # candidates; each takes some 20 ms
 LONGEST_FRONT = 6  # from the least peak on
@@ -228,8 +229,8 @@ def _refuse(scenario: Scenario, spare_ticks: int) -> None:
         raise ScenarioError(
             f"{where} reference.amplitude_mps2 = 0: must not be 0, or a loss would not show"
         )
-    if spare_ticks < 0:
-        raise ScenarioError(f"--spare-ticks {spare_ticks}: must be 0 or above")
+    if not 0 <= spare_ticks <= MAX_LATENCY_TICKS:
+        raise ScenarioError(f"--spare-ticks {spare_ticks}: must be 0 to {MAX_LATENCY_TICKS}")
 
 
 def _refuse_limit(scenario: Scenario, option: str, limit: float | None) -> None:

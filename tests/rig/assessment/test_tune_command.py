@@ -18,14 +18,15 @@ BAD = {
     "share": (["--box", "1"], "must be 0 to below 1"),
     "negative share": (["--box", "-0.1"], "must be 0 to below 1"),
     "nan": (["--box", "nan"], "must be 0 to below 1"),
-    "no such key": (["--box-set", "plant.sped=1..2"], "must be plant.KEY=LOW..HIGH"),
+    "no such key": (["--box-set", "plant.sped_mps=1..2"], r"LOW..HIGH, did you mean speed_mps\?"),
     "no range": (["--box-set", "plant.speed_mps=12"], "must be plant.KEY=LOW..HIGH"),
     "turned round": (["--box-set", "plant.speed_mps=12..8"], "must be plant.KEY=LOW..HIGH"),
     "no car": (["--box-set", "plant.mass_kg=-1..8"], "box: mass_kg = -1"),
     "noise limit without noise": (
         ["ideal", "--noise-limit", "300"], "and so must plant.sensor.noise_mps2"
     ),
-    "spare": (["--spare-ticks", "-1"], "must be 0 or above"),
+    "spare": (["--spare-ticks", "-1"], "must be 0 to 64"),
+    "much to spare": (["--spare-ticks", "100000"], "must be 0 to 64"),
     "chapter 2": (["chapter-2", "--box", "0"], "chapter-2"),
     "off": (["--set", "design.compensation=off"], "compensation = 'off'"),
     "no reference": (["--set", "reference.amplitude_mps2=0"], "would not show"),

@@ -67,11 +67,15 @@ def test_a_run_that_fails_is_a_line_and_the_others_go_on():
     [
         (["--cases", "holidays"], "--cases holidays: must be faults, weather, cars"),
         (["--case", "x"], "--case x: must be NAME:KEY=VALUE,KEY=VALUE"),
+        (["--case", "x:seed=1", "--case", "x:seed=2"], "x:seed=2: must have another name than"),
+        (["--case", "x:seed=1", "--cases", "cars"], "--cases cars: must not stand beside --case"),
+        (["empty.toml"], "empty.toml: must have a table [controller]; no other counts"),
         (["--case", "x:nonsense=1"], "nonsense: unknown key"),
         (["--case", "x:seed*=2"], "must be a factor of a key of plant or model"),
     ],
 )
-def test_a_bad_case_is_one_line(words, line):
+def test_a_bad_case_is_one_line(words, line, tmp_path):
+    (tmp_path / "empty.toml").write_text("duration_s = 3.0\n")
     done = asked("compare", "pi", "--set", "duration_s=0.1", *words)
     assert done.returncode == 2
     assert line in done.stderr
