@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import version
 from itertools import islice
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context, parent_process, resource_tracker
 from threading import Thread
 from typing import Any, Final
 
@@ -77,6 +77,7 @@ class _Processes:
         self._plan, self._workers = plan, workers
         self._context = get_context("forkserver")
         self._context.set_forkserver_preload(["can_rig.campaigns.rows"])
+        resource_tracker.ensure_running()  # would let Ctrl-C in again
         self._pool: ProcessPoolExecutor | None = None
 
     def compute(self, tasks: Iterable[Task]) -> Done:
@@ -108,7 +109,11 @@ class _Processes:
     def _submit(self, task: Task) -> Future[list[Row]]:
         if self._pool is None:
             self._pool = ProcessPoolExecutor(self._workers, self._context, _begin, (self._plan,))
-        return self._pool.submit(_rows, task)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # also of who is started
+        try:
+            return self._pool.submit(_rows, task)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class Todo:
@@ -152,10 +157,9 @@ def deaths_after(before: int, first: Task) -> int:
 
 
 def _begin(plan: Plan) -> None:
-    """Initialise a new worker: the parent handles Ctrl-C, and the worker ends with the parent."""
+    """Initialise a new worker, which ends with its parent."""
     global _plan  # noqa: PLW0603 (set once per process)
     _plan = plan
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_end_with, args=(parent_process(),), daemon=True).start()
 
 

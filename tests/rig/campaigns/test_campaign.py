@@ -162,6 +162,21 @@ def test_a_process_that_is_killed_costs_nothing(which, done, tmp_path):
     assert folder.table.read_bytes() == done.table.read_bytes()
 
 
+def test_ctrl_c_reaches_no_worker_and_no_fork_server_from_the_start_on(tmp_path):
+    """Their imports, which take seconds, would print tracebacks."""
+    deaf: list[bool] = []
+
+    def look(_done: int) -> None:
+        for each in fork_server_and_workers():
+            blocked = re.search(r"SigBlk:\s*(\w+)", Path(f"/proc/{each.pid}/status").read_text())
+            deaf.append(bool(blocked and int(blocked[1], 16) >> (signal.SIGINT - 1) & 1))
+
+    ran(tmp_path / "deaf", planned(), in_two_processes, on_done=look)
+    assert len(deaf) > 1
+    assert all(deaf)
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
 def test_workers_that_always_die_end_it_in_a_line(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "deadly_car.py").write_text(
