@@ -20,7 +20,7 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.coprime import SampledFactors, sampled_factors, sampled_over
 from firmware_model.discretisation.monitor import fill_monitor
 from firmware_model.discretisation.sections import Sections, make_up_gain
-from firmware_model.discretisation.takeover import fill_takeover
+from firmware_model.discretisation.takeover import evidence_in_takeover, fill_takeover
 from firmware_model.discretisation.targets import Reporting, Target, Witness
 from firmware_model.discretisation.tustin import tustin, zoh
 from firmware_model.discretisation.whitening import Whitening, whitening
@@ -49,6 +49,7 @@ from firmware_model.law.supervision.witness import Constants as WitnessConstants
 AHEAD = 2.0  # least ratio of a found fault's evidence to faults at other places
 SENSOR_AHEAD = 3.0  # the ratio for a sensor fault, where an error costs a compensation
 LEAST_SHARE, MOST_SHARE = 0.5, 1.5  # share of a lost force; of a channel in another car
+LONGEST = 5.0  # horizons after which every candidate begins again
 MOTION = 3.0  # deviations of the noise for a moved car
 LEAST_CHANCE = 1e-6  # chance of a repeated number: no sensor is finer
 
@@ -70,10 +71,11 @@ def fill_hypotheses(table: Table, target: Target) -> None:
     constants.ahead = AHEAD
     constants.sensor_ahead = SENSOR_AHEAD
     constants.jump = table.decision.suspect
-    constants.both_lost = table.decision.recover
+    constants.both_lost = table.decision.certain
     signatures.candidate.restart = table.sequential_test.restart
     signatures.candidate.lifetime = table.decision.horizon
     signatures.candidate.promising = table.decision.suspect
+    signatures.candidate.longest = LONGEST * table.decision.horizon
     share, any_size = (LEAST_SHARE, MOST_SHARE), (-math.inf, math.inf)
     sizes = ((-target.limit_1, target.limit_1), share, any_size, any_size, share, share)
     signatures.n = len(HYPOTHESES) if target.echoes is not None else TORQUE_ECHO_ROW
@@ -204,7 +206,8 @@ RESTART = -1.0  # evidence that ends a candidate
 FRESHNESS = 0.1  # least growth of a candidate's information when the age doubles
 DEVIATIONS, NEVER = 3.0, 1e9  # threshold for losses above the model's channel
 SHARE_VARIANCE = 0.09  # of the share at the confirmation of a loss, at most
-RECOVER = 5.0  # evidence of a return over evidence of a loss
+RECOVER = 2.0  # evidence of a return over evidence of a loss
+CERTAIN = 5.0  # likewise of a second loss
 MOMENT = 0.5  # deviation of a loss's moment, as a part of the time to confirmation
 LEAST_DOUBT = 0.04  # for cars with a G1 20 % off the model
 DOUBT = 9.0  # above 1, because the moment of the loss is unknown too
@@ -300,6 +303,7 @@ def build(design: ContinuousDesign, target: Target) -> Table:
         fill_witness(table.witness, target.witness, target)
     if table.prediction.enabled and not table.estimator.measurement.n:
         fill_takeover(table.takeover, target, filters.estimator_1)
+    table.decision.takeover = evidence_in_takeover(table.takeover, table.decision.confirm)
     fill_monitor(table.monitor, design.plant, target)
     table.safe_stop.duration = math.ceil(target.safe_stop_s / target.tick_s)
     table.safe_stop.certain = math.ceil(POWERLESS_S / target.tick_s)
@@ -391,6 +395,7 @@ def _fill_decision(table: Table, target: Target, white: Whitening) -> None:
     decision, test = table.decision, table.sequential_test
     decision.confirm = max(target.evidence(target.false_alarms_per_hour), LEAST_EVIDENCE)
     decision.recover = RECOVER * decision.confirm
+    decision.certain = CERTAIN * decision.confirm
     suspect = max(target.evidence(target.suspicions_per_hour), LEAST_EVIDENCE)
     decision.suspect = min(suspect, decision.confirm)
     decision.horizon = HORIZON_S / target.tick_s

@@ -32,6 +32,8 @@ DOUBTED: Final = 0.2
 """Deviation of m, over the largest m: the plant is not the model."""
 LITTLE: Final = 1e-6
 """Variance per tick, as a part of the sensor's, that keeps the equation of the gain solvable."""
+FALSE_VERDICTS: Final = 1e-2
+"""Of a healthy channel 1, in a takeover."""
 
 
 def fill_takeover(takeover: Constants, target: Target, g1: Sections) -> None:
@@ -53,6 +55,16 @@ def fill_takeover(takeover: Constants, target: Target, g1: Sections) -> None:
     takeover.lasting = takeover.returning + math.ceil(fades)
     takeover.doubt = variance * largest_variance(phi, c, covariance)
     takeover.doubted = DOUBTED**2
+
+
+def evidence_in_takeover(takeover: Constants, confirm: float) -> float:
+    """The evidence that confirms a loss in a takeover, at most ``confirm``.
+
+    Each tick begins one candidate at most, which exceeds h by chance with e^-h.
+    """
+    if not takeover.enabled:
+        return confirm
+    return min(math.log(takeover.lasting / FALSE_VERDICTS), confirm)
 
 
 def observer(phi: np.ndarray, c: np.ndarray, memory: float) -> tuple[np.ndarray, np.ndarray]:

@@ -41,6 +41,7 @@ class Constants(Struct):
     restart: Annotated[float, "1", "predicted log-likelihood ratio that rejects the onset"]
     lifetime: Annotated[float, "tick", "age of a restart without a finding"]
     promising: Annotated[float, "1", "evidence that prevents the restart by age"]
+    longest: Annotated[float, "tick", "age of a restart in any case"]
 
 
 class State(Struct):
@@ -105,8 +106,9 @@ def has_failed(constants: Constants, own: State) -> bool:
     """Whether the onset is rejected, or too old to gain more evidence."""
     if not (own.predicted > constants.restart and math.isfinite(own.evidence)):
         return True
-    old: bool = own.age >= constants.lifetime and not own.evidence > constants.promising
-    return old
+    old = own.age >= constants.lifetime and not own.evidence > constants.promising
+    failed: bool = old or own.age >= constants.longest
+    return failed
 
 
 @firmware

@@ -6,7 +6,7 @@ makes a loss
 
     SUSPECTED   from ``suspect`` on: the driver may be told
     CONFIRMED   from ``confirm`` on, by chance once in a given number of hours: F̂ compensates;
-                a candidate of a takeover from ``suspect`` on
+                a candidate of a takeover from ``takeover`` on
 
 and clears a confirmed loss from ``recover`` on for the return: a false return costs more than a
 late return. A suspicion ends with its candidate and moves no actuator: most faults that are no loss
@@ -105,7 +105,9 @@ class Constants(Struct):
     recover: Annotated[
         float, "1", "evidence that ends a loss: more, because a return is not urgent"
     ]
-    suspect: Annotated[float, "1", "evidence of a suspicion; confirms a candidate of a takeover"]
+    certain: Annotated[float, "1", "evidence of a loss beside a known fault"]
+    suspect: Annotated[float, "1", "evidence of a suspicion"]
+    takeover: Annotated[float, "1", "evidence that confirms a candidate of a takeover"]
     horizon: Annotated[float, "tick", "time within which a new loss must show"]
     shown: Annotated[float, "1", "energy of a constant of size 1 behind W within ``horizon``"]
 
@@ -210,9 +212,11 @@ def needed_evidence(table: Table, test: likelihood_ratio.State, echo: Echo) -> f
     constants = table.decision
     needed: float = constants.confirm
     if echo.believed == 1:  # the missing output is known already
-        needed = constants.recover
-    elif test.of_takeover == 1 or says_lost(table.echoes.actuators[TORQUE], echo):
+        needed = constants.certain
+    elif says_lost(table.echoes.actuators[TORQUE], echo):
         needed = constants.suspect
+    elif test.of_takeover == 1:
+        needed = constants.takeover
     return needed
 
 

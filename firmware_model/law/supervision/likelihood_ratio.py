@@ -64,6 +64,7 @@ class State(Struct):
     candidate: Annotated[candidate.State, "1", "fit of w to d̂; g is the predicted evidence"]
     half_age: Annotated[float, "tick", "age at the last check of growth"]
     half_information: Annotated[float, "1", "information at the last check of growth"]
+    half_predicted: Annotated[float, "1", "g at the last check of growth"]
     of_takeover: Annotated[int, "1", "1: the candidate began in a takeover"]
 
 
@@ -101,18 +102,20 @@ def update_test(
 
 @firmware
 def is_stale(constants: Constants, test: State) -> bool:
-    """Whether a candidate of doubled age has gained hardly any information.
+    """Whether a candidate of doubled age has gained hardly any information, or lost evidence.
 
-    Neither a good part of the present information, nor enough for a decision.
+    Neither a good part of the present information, nor enough for a decision; or the later half of
+    its age alone rejects the onset.
     """
     own, two = test.candidate, real(2.0, test.half_age)
     if own.age < two * max(test.half_age, two):
         return False
-    learnt = own.information - test.half_information
+    learnt, gained = own.information - test.half_information, own.predicted - test.half_predicted
     fresh = min(constants.freshness * test.half_information, constants.needed)
     test.half_age = own.age
     test.half_information = own.information
-    stale: bool = learnt < fresh
+    test.half_predicted = own.predicted
+    stale: bool = learnt < fresh or not gained > constants.restart
     return stale
 
 
@@ -126,7 +129,8 @@ def start_candidate(
     test.channel_1.accumulators[:] = 0.0
     test.earlier.accumulators[:] = 0.0
     start(test.candidate)
-    test.previous_output = test.half_age = test.half_information = 0.0
+    test.previous_output = 0.0
+    test.half_age = test.half_information = test.half_predicted = 0.0
     test.of_takeover = of_takeover
     for i in range(shown):
         command = pending_command(constants, model, i)

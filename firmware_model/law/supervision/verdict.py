@@ -371,6 +371,8 @@ def find(table: Table, own: State, known: mismatch.State, fault: int) -> None:
     else:
         opposite = own.found_size * size < real(0.0, size)
         gone = opposite and place_of(fault) == place_of(own.verdict)
+    if fault == SENSOR_FROZEN:  # the jump to the repeated number was no bias
+        sensor.offset = 0.0
     if fault == FORCE_LOST:
         begin_others(weighed)
     elif fault != TORQUE_LOST:

@@ -210,7 +210,8 @@ def test_evidence_asked_for_is_the_logarithm_of_the_ticks_between_two_alarms(tic
     decision = build(CLOSED, target).decision
     for h, an_hour in ((decision.confirm, 0.02), (decision.suspect, 30.0)):
         assert math.exp(-h) * 3600.0 / tick_s == pytest.approx(an_hour, rel=1e-9)
-    assert decision.recover == pytest.approx(5.0 * decision.confirm)
+    assert decision.recover == pytest.approx(2.0 * decision.confirm)
+    assert decision.certain == pytest.approx(5.0 * decision.confirm)
     assert decision.horizon == pytest.approx(1.0 / tick_s)
 
 

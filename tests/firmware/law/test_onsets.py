@@ -73,7 +73,8 @@ def test_what_is_predicted_is_told_with_the_size_of_the_tick_before():
     ("age", "evidence", "predicted", "failed"),
     [(1.0, 0.0, -1.0, True), (1.0, 0.0, -BELOW, False), (10.0, 0.0, math.nan, True),
      (10.0, math.nan, 0.0, True), (1000.0, 8.0, 0.0, True), (1000.0, 8.0 * ABOVE, 0.0, False),
-     (1000.0 * BELOW, 8.0, 0.0, False)],
+     (1000.0 * BELOW, 8.0, 0.0, False), (5000.0 * BELOW, 1e9, 1e9, False),
+     (5000.0, 1e9, 1e9, True)],
 )  # fmt: skip
 def test_the_last_number_with_which_a_candidate_is_given_up(age, evidence, predicted, failed):
     table, state = begun()

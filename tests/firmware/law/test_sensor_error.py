@@ -120,6 +120,42 @@ def test_an_error_is_gone_where_less_than_half_is_left(sizes, gone):
     assert state.hypotheses.sensor_error.offset == pytest.approx(0.0 if gone else sum(sizes))
 
 
+@pytest.mark.parametrize("lags", [False, True])
+def test_an_error_that_ends_leaves_nothing(lags):
+    """Known from FOUND on, ended at tick 40, found to be over there: from then on as without it."""
+    table, ends = table_of(mismatch=other_cars(3), noise_pole=0.6), 40
+    if lags:
+        table = with_lags(table)
+    draw = np.random.default_rng(5)
+    x = draw.standard_normal((TICKS, int(table.mismatch.n)))
+    healthy, size = 1e-4 * draw.standard_normal(TICKS), 0.3
+    error = np.where(np.arange(TICKS) < ends, size, 0.0)
+    shown = through_lags(error) if lags else error
+    without = filtered(table, controller.init(table)[0], healthy, x)
+    state, rows = controller.init(table)[0], []
+    own, known = state.hypotheses.signatures, state.hypotheses.sensor_error
+    biased, n = own.rows[BIAS_ROW], int(table.mismatch.n)
+    own.rows[DRIFT_ROW].ramp = -1.0
+    for k in range(TICKS):
+        told = sensor_error_shown(table, known)
+        state.mismatch.regressor[:n] = x[k]
+        rows.append(
+            innovation(table.mismatch, state.mismatch, healthy[k] - shown[k], told, 0.0, 0.0)
+        )
+        weigh(table, state, rows[-1])
+        if k in (FOUND - 1, ends):
+            biased.candidate["size_now"] = size if k < ends else -size
+            over = learn_sensor_error(table, known, state.mismatch, biased, -1.0)
+            assert over == (k == ends)
+            begin_all(own)
+        tick_on(table, state)
+        advance_sensor_error(table, known)
+        if k == ends - 1:
+            begin_all(own)
+    assert known.offset == 0.0
+    np.testing.assert_allclose(rows[ends + 1 :], without[ends + 1 :], rtol=1e-6, atol=1e-11)
+
+
 def test_lags_of_these_tests_are_those_of_the_section():
     table = with_lags(table_of())
     memory, u = biquad.at_rest(), np.random.default_rng(1).standard_normal(30)

@@ -228,22 +228,25 @@ def test_evidence_that_overflowed_begins_again():
 
 @pytest.mark.every_case
 @pytest.mark.parametrize(
-    ("age", "half_age", "information", "half_information", "stale"),
+    ("age", "half_age", "information", "half_information", "gained", "stale"),
     [
-        (3.0, 0.0, 10.0, 10.0, False),  # too young to ask
-        (9.0, 5.0, 10.0, 10.0, False),
-        (4.0, 1.0, 10.9, 10.0, True),
-        (10.0, 5.0, 11.0, 10.0, False),
-        (10.0, 5.0, 1023.9, 1000.0, True),  # enough to decide, at any amount of information
-        (10.0, 5.0, 1024.0, 1000.0, False),
+        (3.0, 0.0, 10.0, 10.0, 1.0, False),  # too young to ask
+        (9.0, 5.0, 10.0, 10.0, 1.0, False),
+        (4.0, 1.0, 10.9, 10.0, 1.0, True),
+        (10.0, 5.0, 11.0, 10.0, 1.0, False),
+        (10.0, 5.0, 11.0, 10.0, -0.9, False),
+        (10.0, 5.0, 11.0, 10.0, -1.1, True),  # the later half alone rejects the onset
+        (10.0, 5.0, 1023.9, 1000.0, 1.0, True),  # enough to decide, at any amount of information
+        (10.0, 5.0, 1024.0, 1000.0, 1.0, False),
     ],
 )
 def test_a_candidate_twice_as_old_that_has_learnt_little_is_stale(
-    age, half_age, information, half_information, stale
+    age, half_age, information, half_information, gained, stale
 ):
     numbers = {"freshness": 0.1, "needed": 24.0}
     table = changed(build(DESIGN, Target(TICK_S, 1, "zoh")), sequential_test=numbers)[0]
     test = controller.init(table)[0].sequential_test
     test.candidate.age, test.half_age = age, half_age
     test.candidate.information, test.half_information = information, half_information
+    test.candidate.predicted, test.half_predicted = 30.0 + gained, 30.0
     assert is_stale(table.sequential_test, test) == stale

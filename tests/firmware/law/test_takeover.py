@@ -1,5 +1,6 @@
 """A controller that begins while the plant moves."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from firmware_model.firmware import Firmware
 from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Mode
 from firmware_model.law.structs import zeroed
+from firmware_model.law.supervision.decision import needed_evidence
 from firmware_model.law.supervision.takeover import (
     Constants,
     advance_motion,
@@ -149,6 +151,20 @@ def test_a_motor_that_died_before_is_found():
     answers = loop.run(3000)
     assert answers[-1].fault_state == FaultState.CONFIRMED
     assert abs(loop.output - loop.reference()) < 0.1
+
+
+def test_in_a_takeover_a_loss_needs_the_evidence_that_chance_gives_once_in_a_hundred():
+    """One candidate a tick, each beyond h by chance with e^-h (Wald)."""
+    table = table_of()
+    limits, test = table.decision, controller.init(table)[0].sequential_test
+    ticks, needed = float(table.takeover.lasting), []
+    for of_takeover in (0, 1):
+        test.of_takeover = of_takeover
+        needed.append(needed_evidence(table, test, controller.init(table)[0].echoes.actuators[0]))
+    assert needed[0] == limits.confirm
+    assert ticks * math.exp(-needed[1]) == pytest.approx(1e-2, rel=1e-9)
+    lax = table_of(false_alarms_per_hour=1e3)
+    assert lax.decision.takeover == lax.decision.confirm < needed[1]
 
 
 @pytest.mark.compiled

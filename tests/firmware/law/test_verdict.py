@@ -134,6 +134,13 @@ def test_a_sensor_is_frozen_as_long_as_it_repeats_itself():
     assert judged(state) == Verdict.NOTHING
 
 
+def test_the_jump_to_a_repeated_number_is_no_error_of_the_sensor_after_that():
+    state = state_of(Verdict.SENSOR_WRONG)
+    state.hypotheses.sensor_error.offset = 0.3
+    assert judged(state, frozen=50.0) == Verdict.SENSOR_FROZEN
+    assert state.hypotheses.sensor_error.offset == 0.0
+
+
 def test_another_car_stands_until_its_evidence_is_no_suspicion():
     assert judged(state_of(Verdict.ANOTHER_CAR), car=7.1) == Verdict.ANOTHER_CAR
     assert judged(state_of(Verdict.ANOTHER_CAR), car=7.0) == Verdict.NOTHING

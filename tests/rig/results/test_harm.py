@@ -13,6 +13,7 @@ from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.metrics import harm_metrics, metrics_of, torque_lost
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
+from firmware_model.law.status import FaultState, Verdict
 
 SHORT = ["duration_s=3", "fault.at_s=1"]
 UNCOMPENSATED = ["tick_s=0.01", "duration_s=3", "fault.kind=none", "design.compensation=off"]
@@ -95,6 +96,23 @@ def test_a_motor_that_died_stays_compensated_against_an_echo_that_repeats_the_co
     drive = [f"duration_s={at_s + 1.5}", f"fault.0.at_s={at_s}", *(f"fault.1.{it}" for it in lies)]
     values = metrics_of(load("cluster", drive))
     assert values["deviation_peak_mps2"] < 0.4 < values["deviation_peak_uncompensated_mps2"]
+
+
+@pytest.mark.parametrize(
+    ("reference", "fault"),
+    [
+        ("sine", ["kind=frames-missing", "at_s=4", "for_s=0.3"]),
+        ("step", ["kind=actuator-dead", "at_s=4", "for_s=0.1"]),
+        ("sine", ["kind=sensor-biased", "bias_mps2=0.2", "at_s=4", "for_s=2"]),
+        ("step", ["kind=sensor-dead", "at_s=4", "for_s=0.3"]),
+        ("sine", ["kind=sensor-dead", "at_s=4", "for_s=1"]),
+    ],
+)
+def test_a_verdict_ends_with_its_fault(reference, fault):
+    moves = ["duration_s=9", f"reference.kind={reference}", "reference.frequency_rad_per_s=2"]
+    signals = signals_without_log(load("default", [*moves, *(f"fault.{it}" for it in fault)]))
+    assert np.any(signals.verdict[4000:] > 0)
+    assert (signals.verdict[-1], signals.fault_state[-1]) == (Verdict.NOTHING, FaultState.CLEAR)
 
 
 @given(away=st.floats(-3.0, 3.0).filter(bool), begin=st.integers(0, 250))
