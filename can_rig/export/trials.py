@@ -300,7 +300,10 @@ def make_plausible(random: np.random.Generator, table: Any, even: bool) -> None:
             actuator.lsb = random.choice([0.0, 1e-3])
     if random.random() < 0.8 and not even:  # thresholds within reach
         table.decision.suspect, table.decision.confirm = np.sort(random.exponential(2.0, 2))
-        table.decision.recover = random.exponential(3.0)
+        table.decision.recover = table.decision.certain = random.exponential(3.0)
+        table.decision.takeover = table.decision.suspect
+        weighed = table.hypotheses.signatures.candidate
+        weighed.longest = 10.0 * abs(weighed.lifetime)
         table.mismatch.noise = random.exponential(1.0)
         table.mismatch.white = random.exponential(1.0)
         test = table.sequential_test
