@@ -85,8 +85,12 @@ def test_tune_finds_the_least_peak_for_other_plants_of_the_box(tmp_path, monkeyp
     assert "with force 1 lost, for the nominal plant and 8 around it" in values["why"]
     chosen = values["options"].split()[1::2]
     assert check_stability(load(path, [word for word in chosen if "=" in word])).linear_stable
-    bad = asked("tune", path, "--force", "--box-set", "plant.speed_mps=8..12")
-    assert "must be plant.KEY=LOW..HIGH, as in plant.gain_1=0.8..1.2" in bad.stderr
+    for setting, hint in (
+        ("mass=8..12", "as in plant.gain_1=0.8..1.2"),
+        ("speed_mps=8..12", "did you mean speed?"),
+    ):
+        bad = asked("tune", path, "--force", "--box-set", f"plant.{setting}")
+        assert f"must be plant.KEY=LOW..HIGH, {hint}" in bad.stderr
 
 
 def test_the_box_of_a_slow_plant_is_driven_for_as_long_as_it_takes(tmp_path):

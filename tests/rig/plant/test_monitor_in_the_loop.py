@@ -74,8 +74,7 @@ def test_no_weather_stops_a_car_that_follows():
 @pytest.mark.parametrize(
     ("name", "changes", "free", "bound"),
     [
-        ("chassis-can", {"reference.kind": "sine"}, 16.0, 5.4),
-        ("default", {"reference.kind": "step"}, 6.0, 3.8),
+        ("chassis-can", {"reference.kind": "sine"}, 15.0, 5.4),
         ("noisy", {"reference.kind": "step"}, 6.0, 5.4),
     ],
 )
