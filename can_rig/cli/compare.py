@@ -20,11 +20,15 @@ def _controllers(_c: click.Context, _p: click.Parameter, begun: str) -> list[Com
     return [CompletionItem(name) for name in known_controllers() if name.startswith(begun)]
 
 
+USUAL = "faults"
+"""The group of cases without ``--cases`` and ``--case``."""
+
+
 @click.command("compare")
 @click.argument("controllers", nargs=-1, required=True, shell_complete=_controllers)
 @click.option("--scenario", default="default", show_default=True, metavar="NAME", help="To run.")
 @click.option(
-    "--cases", "groups", metavar=",".join(CASES), help="Groups of cases.  [default: faults]"
+    "--cases", "groups", metavar=",".join(CASES), help=f"Groups of cases.  [default: {USUAL}]"
 )
 @click.option(
     "--case",
@@ -113,7 +117,7 @@ def _cases(groups: str | None, own: Sequence[str]) -> dict[str, dict[str, object
             change(cases[name], setting)
     if cases:
         return cases
-    for group in ("faults" if groups is None else groups).split(","):
+    for group in (USUAL if groups is None else groups).split(","):
         if group not in CASES:
             raise ScenarioError(f"--cases {group}: must be {', '.join(CASES)}")
         cases |= {name: dict(changes) for name, changes in CASES[group].items()}

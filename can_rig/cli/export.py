@@ -36,6 +36,10 @@ FAULTS: Final[
 """Runs whose worst tick is measured, beside the scenario's own: the fault in the middle."""
 
 
+RUNS: Final = 100
+"""Of each campaign, unless ``--runs`` says another number."""
+
+
 @click.command("export")
 @scenario_options
 @click.option(
@@ -81,7 +85,7 @@ FAULTS: Final[
 @click.option(
     "--runs",
     type=click.IntRange(1),
-    help="Of each campaign, from its first run on.  [default: 100]",
+    help=f"Of each campaign, from its first run on.  [default: {RUNS}]",
 )
 @force_option
 def command(
@@ -121,7 +125,7 @@ def command(
     lines = sum(text.count("\n") for name, text in files.items() if name.endswith((".c", ".h")))
     say(f"{out}: {len(files)} files, {lines} lines of C")
     if with_evidence:
-        write(files | _record(chosen, files, plans, runs or 100), out, force=True)
+        write(files | _record(chosen, files, plans, runs or RUNS), out, force=True)
         say(f"{out / 'evidence.html'}, and the same as evidence.json")
 
 
