@@ -47,7 +47,7 @@ from typing import Final, NamedTuple
 from cantools.database.can import Message as DbcMessage
 
 from can_rig.assessment.frame_length import CLASSIC_BYTES, FrameBits, worst_case_bits
-from can_rig.errors import RigError
+from can_rig.errors import DbcError, RigError
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.databases import load_database
 from can_rig.frames.foreign_frames import FD_LENGTHS
@@ -337,7 +337,7 @@ def dbc_timing(path: str | Path, bitrate: int, data_bitrate: int | None = None) 
         data_bitrate: of the data phase [bit/s], to which every FD frame switches; None: none does.
 
     Raises:
-        DbcError: not a DBC.
+        DbcError: not a DBC, or without a message to look at.
         AnalysisError, FrameError: frames or bit rates outside the CAN standard.
     """
     frames, left_out = [], []
@@ -349,6 +349,12 @@ def dbc_timing(path: str | Path, bitrate: int, data_bitrate: int | None = None) 
             left_out.append(f"{message.name} ({message.length} bytes do not fit in a frame)")
         else:
             frames.append(_of_dbc(message, message.cycle_time, data_bitrate is not None))
+    if not frames:
+        without = ", ".join(left_out[:3]) or "it has no messages"
+        raise DbcError(
+            f"{path}: no message to look at: {without}; a message must have a GenMsgCycleTime "
+            "above 0 ms, and fit in a frame"
+        )
     responses = response_times(frames, bitrate, data_bitrate)
     taken = utilisation(frames, bitrate, data_bitrate)
     return BusTiming(bitrate, taken, [_timing(r) for r in responses], left_out=left_out)

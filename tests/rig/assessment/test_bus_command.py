@@ -78,6 +78,17 @@ def test_any_dbc_by_its_cycle_times(foreign):
         dbc_timing(foreign, 500_000, 250_000)
 
 
+def test_no_deadline_is_met_where_no_message_has_a_cycle_time(foreign):
+    text = foreign.read_text().replace('BA_ "GenMsgCycleTime"', "//")
+    foreign.write_text("\n".join(line for line in text.splitlines() if not line.startswith("//")))
+    assert asked("bus", "--dbc", foreign).returncode == 2
+    with pytest.raises(
+        DbcError,
+        match=r"foreign.dbc: no message to look at: FAST \(no cycle time\), .*GenMsgCycleTime",
+    ):
+        dbc_timing(foreign, 500_000)
+
+
 def test_a_dbc_with_the_usual_slips_is_mended(foreign):
     """An extended identifier without its highest bit, and words of a signal that is missing."""
     text = foreign.read_text()
