@@ -81,7 +81,7 @@ def _require_agreement(law: LinearController, respond: Respond, ticks: int) -> N
     off = np.abs(answers - expected).max(axis=0)
     if not (off <= AGREES * largest + 1e-9 * SIZE).all():
         worst = float(np.max(off / np.where(largest > 0.0, largest, 1.0)))
-        by = f"{worst:.1%}" if worst <= 1.0 else "more than 100%"
+        by = f"{worst:.2%}" if worst <= 1.0 else "more than 100%"
         raise NotLinearError(
             f"its answers around rest grow without end or are not linear: off by {by}"
         )

@@ -136,7 +136,7 @@ def continuous(system: object) -> ZeroPoleGain | Polynomials | StateSpace:
     if hasattr(known, "gain") and hasattr(known, "poles"):
         if np.ndim(known.gain):
             _refuse_several(1, np.size(known.gain))
-        gain = complex(known.gain)
+        gain = complex(np.asarray(known.gain).item())
         if gain.imag or not cmath.isfinite(gain):
             raise ParameterError(f"gain = {known.gain}: must be real and finite")
         return ZeroPoleGain(_paired(known.zeros), _paired(known.poles), gain.real)

@@ -41,6 +41,19 @@ def test_a_limit_is_no_linear_controller():
         read_off(lambda inputs: np.clip(linear(inputs), -2e-6, 2e-6), 0)
 
 
+def test_a_controller_that_is_hardly_linear_is_off_by_a_figure_above_zero():
+    """The largest answer is 0.02 % too large."""
+
+    def clipped(inputs: FloatArray) -> FloatArray:
+        answers = linear(inputs)
+        if inputs[1:].any():  # not an impulse
+            answers[:, 0][np.argmax(np.abs(answers[:, 0]))] *= 1.0002
+        return answers
+
+    with pytest.raises(NotLinearError, match=r"off by 0\.02%$"):
+        read_off(clipped, 0)
+
+
 @pytest.mark.filterwarnings("error")
 def test_matrices_that_explode_are_off_by_more_than_all_of_the_answers():
     """Powers of an unstable matrix overflow; their dozens of digits say nothing."""

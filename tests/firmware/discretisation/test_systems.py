@@ -23,6 +23,7 @@ SYSTEMS = {
     "scipy, transfer function": signal.TransferFunction(NUM, DEN),
     "scipy, lti": signal.lti(NUM, DEN),
     "scipy, zeros and poles": signal.ZerosPolesGain([-10.0], np.roots(DEN), 3.0),
+    "scipy, a gain in a list": signal.ZerosPolesGain([-10.0], np.roots(DEN), [3.0]),
     "scipy, state space": signal.TransferFunction(NUM, DEN).to_ss(),
     "scipy, a numerator of one row": SimpleNamespace(num=[NUM], den=DEN),
     "coefficients": (NUM, DEN),
