@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from can_rig.drawing.names import names_of
+from can_rig.drawing.names import names_of, with_unit
 from can_rig.frames.network import Network
 from can_rig.plant.frameless import with_files
 from can_rig.plant.nonlinear_car import car_of
@@ -201,6 +201,21 @@ def control_authority(scenario: Scenario, network: Network) -> ControlAuthority 
         carries_mps2=min(limit_n / force_per_mps2, car.grip_r / math.hypot(force_per_mps2, car.m)),
         friction=scenario.plant.friction,
     )
+
+
+def short_authority(scenario: Scenario, network: Network) -> Iterator[str]:
+    """A line for a plant other than a car whose second input cannot hold the reference."""
+    output, lost, other = names_of(scenario.plant)
+    wanted = float(np.abs(reference(scenario)).max())
+    limit = float(target(scenario, network).limit_2)
+    held = abs(continuous_plant(scenario.plant).g2.dc_gain) * limit
+    if not scenario.plant.is_car and held < wanted:
+        yield (
+            f"control authority: NOT ENOUGH: without {lost.said} {other.said} holds {output.said} "
+            f"up to {with_unit(f'{held:.3g}', output.unit)} at its limit of "
+            f"{with_unit(f'{limit:.3g}', other.unit)}, and |r| is up to "
+            f"{with_unit(f'{wanted:.3g}', output.unit)}"
+        )
 
 
 @dataclass(frozen=True)

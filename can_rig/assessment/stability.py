@@ -29,6 +29,7 @@ from can_rig.assessment.limitations import (
     control_authority,
     describe,
     plant_limitations,
+    short_authority,
     without_roots,
 )
 from can_rig.assessment.network_notes import frame_notes, signal_notes
@@ -272,6 +273,7 @@ class StabilityCheck:
             yield "decision: none; design.supervision = 'none'"
         if self.control_authority is not None:
             yield str(self.control_authority)
+        yield from short_authority(scenario, network_of(scenario))
         yield from self.network_notes
 
     @property

@@ -74,6 +74,20 @@ def test_check_speaks_of_the_plant(tmp_path, name, first):
         assert word not in words
 
 
+@pytest.mark.parametrize(("limit", "said"), [(0.011, True), (0.012, False)])
+def test_check_says_where_the_second_input_cannot_hold_the_reference(tmp_path, limit, said):
+    """A boilup of 1/86.4 = 0.01157 mol/s holds 1 %."""
+    path = written(tmp_path, "column")
+    done = asked("check", path, "--set", f"limits.force_difference_n={limit}")
+    words = " ".join(done.stdout.split())
+    short = (
+        "control authority: NOT ENOUGH: without reflux boilup holds purity up to 0.95 % at its "
+        "limit of 0.011 mol/s, and |r| is up to 1 %"
+    )
+    assert (short in words) == said
+    assert ("NOT ENOUGH" in words) == said
+
+
 def test_tune_finds_the_least_peak_for_other_plants_of_the_box(tmp_path, monkeypatch):
     some: Sequence[Values] = [(0.01, 4, 0.056, 3), (0.047, 3, 0.1, 3), (0.0047, 3, 0.039, 2)]
     monkeypatch.setattr(search, "grid", lambda scenario: some)
