@@ -2,8 +2,10 @@
 
 import ctypes
 import math
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from can_rig.controllers.protocol import Answer, Inputs
@@ -11,6 +13,7 @@ from can_rig.controllers.setup import ControllerSetup
 from can_rig.errors import RigError, ScenarioError
 from can_rig.scenario.controller_settings import LIBRARY
 from can_rig.scenario.plant_settings import flat_parameters
+from can_rig.scenario.remembered import state_of_file
 
 ABI: Final = 1
 HEADER: Final = Path(__file__).with_name("controller.h")
@@ -45,6 +48,25 @@ class CAnswer(ctypes.Structure):
     )
 
 
+_LIBRARIES: Final[dict[Path, tuple[tuple[object, ...], ctypes.CDLL]]] = {}
+"""Every library of this process, with the state of its file."""
+
+
+def _loaded(path: Path) -> ctypes.CDLL:
+    """The library at ``path`` as the file is now; the linker keeps the first one of a path.
+
+    Raises:
+        OSError: not a library.
+    """
+    state = tuple(state_of_file(str(path)))
+    if path not in _LIBRARIES:
+        _LIBRARIES[path] = state, ctypes.CDLL(str(path))
+    elif _LIBRARIES[path][0] != state:
+        with TemporaryDirectory() as folder:
+            _LIBRARIES[path] = state, ctypes.CDLL(shutil.copy(path, folder))
+    return _LIBRARIES[path][1]
+
+
 class LibraryController:
     """The controller in a shared library; see ``protocol.Controller``.
 
@@ -59,7 +81,7 @@ class LibraryController:
         if not path.is_file():
             raise ScenarioError(f"{where}: there is no such file")
         try:
-            library: Any = ctypes.CDLL(str(path.resolve()))
+            library: Any = _loaded(path.resolve())
         except OSError as error:
             raise ScenarioError(
                 f"{where}: must be a shared library, as of cc -shared -fPIC: {error}"

@@ -517,6 +517,19 @@ def test_the_example_in_c_is_the_example_in_python(tmp_path, own):
 
 
 @needs_compiler
+def test_a_library_that_is_compiled_again_runs_as_it_is_now(tmp_path):
+    text = EXAMPLE.read_text()
+    other = text.replace("20.0, 100.0", "60.0, 100.0")
+    assert other != text
+    made = library(tmp_path, text)
+    first = logged(of(f"c:{made}"), tmp_path / "first")
+    library(tmp_path, other)
+    assert logged(of(f"c:{made}"), tmp_path / "other") != first
+    library(tmp_path, text)
+    assert logged(of(f"c:{made}"), tmp_path / "again") == first
+
+
+@needs_compiler
 @pytest.mark.parametrize(
     ("change", "line"),
     [
