@@ -152,12 +152,13 @@ def on_one_axis(
     greatest value of a curve in the part, the second has the other; nan without a value.
 
     Args:
-        curves: time and values of each, (n,) ascending; n is at least one.
+        curves: time and values of each, (n,) in any order, as a clock that is set back leaves
+            them; n is at least one.
     """
     if not curves:
         return np.empty(0), []
-    begin = min(float(time_s[0]) for time_s, _ in curves)
-    end = max(float(time_s[-1]) for time_s, _ in curves)
+    begin = min(float(time_s.min()) for time_s, _ in curves)
+    end = max(float(time_s.max()) for time_s, _ in curves)
     parts = min(MOST_POINTS // 2, sum(len(time_s) for time_s, _ in curves))
     width = (end - begin) / parts or 1.0
     columns = [_extremes(time_s, values, begin, width, parts) for time_s, values in curves]
@@ -174,8 +175,12 @@ def _extremes(
     count = np.zeros(parts, dtype=np.int64)
     for rows in paged.blocks(len(time_s)):
         part = np.minimum(((time_s[rows] - begin) / width).astype(np.int64), parts - 1)
+        some = values[rows]
+        if (part[1:] < part[:-1]).any():
+            order = np.argsort(part, kind="stable")
+            part, some = part[order], some[order]
         starts = np.flatnonzero(np.diff(part, prepend=-1))
-        ends, at, some = np.append(starts[1:], len(part)), part[starts], values[rows]
+        ends, at = np.append(starts[1:], len(part)), part[starts]
         least[at] = np.fmin(least[at], np.fmin.reduceat(some, starts))
         greatest[at] = np.fmax(greatest[at], np.fmax.reduceat(some, starts))
         first[at] = np.where(count[at] == 0, some[starts], first[at])
