@@ -16,6 +16,7 @@ from can_rig.logs.frames import window_of
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.results.source import log_path, only_channel
+from can_rig.storage.files import refuse_itself
 
 
 @click.command("convert")
@@ -41,6 +42,7 @@ def command(
     """
     source = read_log(log_path(log), window=window_of(from_s, to_s))
     refuse_log(out, force, "OUT")
+    refuse_itself(source.path, out)
     changes = write_log(
         source,
         out,

@@ -12,6 +12,7 @@ from can_rig.cli.output import json_line, note, reading, say, show, table
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.files import Form, Selection, decode_to_files, refuse_output
 from can_rig.logs.frames import Log
+from can_rig.storage.files import refuse_itself
 
 _SHOWN: Final = 5  # unknown identifiers in the table
 
@@ -60,6 +61,7 @@ def command(
     source, databases = asked.log(), asked.databases()
     for path in outputs:
         refuse_output(path, force)
+    refuse_itself(source.path, *outputs)
     selection = Selection(messages or None, signals or None, asked.channel)
     form = Form(relative, names, force)
     decoder = decode_to_files(source, databases, selection, outputs, form, reading)

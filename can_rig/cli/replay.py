@@ -40,7 +40,7 @@ from can_rig.replaying.replay import OpenLoop, Place, SignalComparison
 from can_rig.replaying.rig_frames import recorded
 from can_rig.results.source import Source, log_path, only_channel, source_of
 from can_rig.scenario.build import network_of
-from can_rig.storage.files import atomic, refuse_existing
+from can_rig.storage.files import atomic, refuse_existing, refuse_itself
 
 
 @click.command("replay")
@@ -200,6 +200,7 @@ def _open_loop(
     """
     if gaps is not None:
         refuse_existing(gaps, force, "--gaps")
+        refuse_itself(source.log.path, gaps)
     with _all_gaps(gaps, force) as write:
         loop = _replayed(source, begin_ns)
         if loop.left_out and not loop.comparison.ticks and begin_ns != ALL.begin_ns:
@@ -263,6 +264,7 @@ def _recorded_drive(
     """
     for path in outs:
         refuse_output(path, force)
+    refuse_itself(source.log.path, *outs)
     replayed = replay_drive(
         source,
         {bus or "": Path(file) for bus, file in map(bus_and_file, dbc)},

@@ -34,6 +34,8 @@ def command(asked: Asked, other: Path | None, out: Path | None, force: bool) -> 
     with --dbc, --channel, --from or --to is shown as a log, and so is a run beside a log.
     """
     if out is not None:
+        if out.suffix.lower() not in {".html", ".htm"}:
+            raise LogError(f"{out}: a page must be FILE.html")
         refuse_existing(out, force, "--out")
     from can_rig.views.bench_page import overlaid, page_of  # noqa: PLC0415
 

@@ -60,6 +60,17 @@ def refuse_existing(path: Path, force: bool, option: str, *, new_folder: bool = 
         raise LogError(f"{path}: {no_folder(folder)}; {option} makes none")
 
 
+def refuse_itself(source: Path, *outputs: Path) -> None:
+    """Refuse to replace the log that is read, also with ``--force``.
+
+    Raises:
+        LogError: an output that is the log.
+    """
+    for path in outputs:
+        if path.exists() and not path.is_symlink() and path.samefile(source):
+            raise LogError(f"{path}: is the log that is read; the output must be another file")
+
+
 def no_folder(folder: Path) -> str:
     """What is wrong with a path that must be a folder."""
     return f"{folder} is a file" if folder.exists() else f"there is no folder {folder}"

@@ -19,6 +19,8 @@ from can_rig.errors import LogError
 from can_rig.storage.files import FileNames, atomic
 from tests.helpers import asked
 
+CAR = str(Path(__file__).parents[3] / "docs" / "car" / "car.toml")
+
 
 def test_a_read_only_file_system_is_one_line(tmp_path, monkeypatch):
     def refused(path: Path, *_: Any, **__: Any) -> None:
@@ -59,6 +61,32 @@ def test_a_folder_is_never_replaced_by_a_file(tmp_path):
         part.write_text("new")
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
     assert (out / "mine").read_text() == "kept"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["convert", "a.csv", "{}/a.csv"],
+        ["decode", "a.csv", "--out", "{}/../{}/a.csv"],
+        ["replay", "a.csv", "--scenario", "default", "--gaps", "a.csv"],
+        ["replay", "a.csv", "--scenario", CAR, "--out", "a.csv"],
+        ["view", "a.csv", "--out", "a.csv"],
+    ],
+    ids=["convert", "decode", "gaps", "drive", "view"],
+)
+def test_force_never_replaces_the_log_that_is_read(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    log = tmp_path / "a.csv"
+    log.write_text(
+        "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
+        "1000000,00000100,false,Rx,0,1,01,\n2000000,00000100,false,Rx,0,1,02,\n"
+    )
+    before = log.read_bytes()
+    there = [word.format(tmp_path, tmp_path.name) for word in words]
+    done = asked(*there, "--force")
+    assert done.returncode == 2
+    assert "a.csv: is the log that is read" in done.stderr or "must be FILE.html" in done.stderr
+    assert log.read_bytes() == before
 
 
 @pytest.mark.parametrize("force", [False, True])
