@@ -9,7 +9,7 @@ from click.shell_completion import CompletionItem
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.options import force_option, json_option, out_option, set_option
-from can_rig.cli.output import counting, json_line, say, table, wide
+from can_rig.cli.output import counting, json_line, note, say, table, wide
 from can_rig.errors import ScenarioError
 from can_rig.scenario.loading import change
 from can_rig.storage.files import atomic, refuse_picture
@@ -22,6 +22,9 @@ def _controllers(_c: click.Context, _p: click.Parameter, begun: str) -> list[Com
 
 USUAL = "faults"
 """The group of cases without ``--cases`` and ``--case``."""
+
+SMALL = 100.0
+"""A peak below has three digits, as 0.4 rad does."""
 
 
 @click.command("compare")
@@ -81,6 +84,7 @@ def command(
     wide().print(figures)
     say("|r - y| in the output's unit; confirmed: s after the fault; u1, u2: peaks of the commands")
     say(*(f"{row.case}, {row.controller}: {row.failure}" for row in found.rows if row.failure))
+    note(*dict.fromkeys(f"{row.case}: {row.never}" for row in found.rows if row.never))
     sys.exit(failed)
 
 
@@ -94,7 +98,8 @@ def _cells(row: Compared) -> Sequence[str]:
     elif row.confirmed_after_s is not None and not alarm:
         alarm = f"{row.confirmed_after_s:.3f}"
     peaks = row.torque_peak_nm, row.force_difference_peak_n
-    return (*(f"{size:.4f}" for size in sizes), alarm, *(f"{peak:.0f}" for peak in peaks))
+    commands = (f"{peak:.0f}" if peak >= SMALL else f"{peak:.3g}" for peak in peaks)
+    return (*(f"{size:.4f}" for size in sizes), alarm, *commands)
 
 
 def _cases(groups: str | None, own: Sequence[str]) -> dict[str, dict[str, object]]:

@@ -514,18 +514,23 @@ class Scenario:
     @property
     def notes(self) -> list[str]:
         """Notes on allowed but perhaps unintended settings, a line each."""
+        others = "; for ".join(_other_plant(self))
+        designed = [f"designed for {others}"] * bool(others)
+        return [f"note: {line}" for line in (*designed, *self.never)]
+
+    @property
+    def never(self) -> list[str]:
+        """The faults and disturbances after the end of the run, a line each."""
         listed: list[tuple[str, FaultSettings | DisturbanceSettings]] = [
             *(("fault", fault) for fault in self.faults),
             *(("disturbance", each) for each in self.disturbances),
         ]
-        never = [
-            f"note: the {noun} ({each.kind} at {each.at_s:g} s) never occurs: "
+        return [
+            f"the {noun} ({each.kind} at {each.at_s:g} s) never occurs: "
             f"the run ends at {self.ticks * self.tick_s:g} s"
             for noun, each in listed
             if each.span_ns[0] >= self.ticks * self.tick_ns
         ]
-        others = "; for ".join(_other_plant(self))
-        return [f"note: designed for {others}"] * bool(others) + never
 
     def as_dict(self) -> dict[str, Any]:
         """Every key and value in the form of a scenario file: a list of one is a table."""

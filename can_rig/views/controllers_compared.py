@@ -91,6 +91,7 @@ class Compared:
         torque_peak_nm: of the whole run.
         force_difference_peak_n: likewise.
         failure: a line where the run failed; the figures are then not numbers.
+        never: a line where a fault or a disturbance of the case begins after the end of the run.
     """
 
     controller: str
@@ -103,6 +104,7 @@ class Compared:
     torque_peak_nm: float = math.nan
     force_difference_peak_n: float = math.nan
     failure: str = ""
+    never: str = ""
 
 
 @dataclass(frozen=True)
@@ -251,6 +253,7 @@ def _figures(controller: str, case: str, scenario: Scenario, signals: Signals) -
         false_alarm=bool((confirmed & (signals.time_s < fault_s)).any()) if says else None,
         torque_peak_nm=float(np.nanmax(np.abs(signals.torque_nm))),
         force_difference_peak_n=float(np.nanmax(np.abs(signals.force_difference_n))),
+        never="; ".join(scenario.never),
     )
 
 

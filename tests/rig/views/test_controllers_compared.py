@@ -85,3 +85,16 @@ def test_a_bad_case_is_one_line(words, line, tmp_path):
 def test_python_names_its_own_argument():
     with pytest.raises(ScenarioError, match=r"cases = 'holidays': must be faults, weather, cars"):
         can_rig.compare(["pi"], cases="holidays")
+
+
+def test_a_fault_after_the_end_of_the_run_is_said_and_small_commands_have_digits(tmp_path):
+    (tmp_path / "small.py").write_text("def small(inputs):\n    return 0.25, -0.5\n")
+    late = "late:fault.kind=actuator-dead,fault.at_s=10"
+    done = asked(
+        "compare", f"{tmp_path}/small:small", "--set", "duration_s=0.2", "--case", late,
+        "--case", "none:fault.kind=none",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    said = "note: late: the fault (actuator-dead at 10 s) never occurs: the run ends at 0.2 s"
+    assert done.stderr.splitlines() == [said]
+    assert [line.split()[-2:] for line in done.stdout.splitlines()[1:3]] == [["0.25", "0.5"]] * 2
