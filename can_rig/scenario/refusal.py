@@ -24,6 +24,12 @@ WORDS: Final = {
 }
 """pydantic's wording, and the rig's wording."""
 
+FORMS: Final = {
+    "TransferFunction": ", as { num = [...], den = [...] }",
+    "FilterSettings": ", as { num = [...], den = [...] } or { sos = [[...]] }",
+}
+"""Tables in place of which numbers alone are often given, by their classes."""
+
 
 def refusal(error: ValidationError, settings: type[Any], where: str = "") -> str:
     """The first finding about ``settings``, the intended class, at the key ``where``.
@@ -42,7 +48,7 @@ def refusal(error: ValidationError, settings: type[Any], where: str = "") -> str
     if kind in {"json_invalid", "value_error"}:
         return f"{key}.{message}" if key else message
     if kind == "dataclass_type":
-        message = "must be a table"
+        message = f"must be a table{FORMS.get(finding['ctx']['class_name'], '')}"
         if finding["ctx"]["class_name"] == "AxisSettings" and isinstance(finding["input"], list):
             message += f", as {{ values = {finding['input']!r} }}"
     if kind == "missing" and isinstance(finding["input"], dict):

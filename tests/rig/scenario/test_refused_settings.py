@@ -24,6 +24,9 @@ EXACT = {
     "tick_s=0": "tick_s = 0: must be at least 0.00001",
     "tick_s=nan": "tick_s = nan: must be a finite number",
     "reference=step": "reference = 'step': must be a table",
+    "plant.g1=3": "plant.g1 = 3: must be a table, as { num = [...], den = [...] }",
+    "controller.f2=0.5": "controller.f2 = 0.5: must be a table, as { num = [...], den = [...] } or "
+    "{ sos = [[...]] }",
     "duration_s=0.0005": "duration_s = 0.0005: must be at least one tick (0.001 s)",
     "reference.kind=csv": 'reference.file: must name the CSV file of a reference of kind "csv"',
 }
