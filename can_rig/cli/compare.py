@@ -23,8 +23,8 @@ def _controllers(_c: click.Context, _p: click.Parameter, begun: str) -> list[Com
 USUAL = "faults"
 """The group of cases without ``--cases`` and ``--case``."""
 
-SMALL = 100.0
-"""A peak below has three digits, as 0.4 rad does."""
+SMALL, TINY = 100.0, 1e-3
+"""A command below the first and an error below the second have three digits, as 0.4 rad does."""
 
 
 @click.command("compare")
@@ -99,7 +99,8 @@ def _cells(row: Compared) -> Sequence[str]:
         alarm = f"{row.confirmed_after_s:.3f}"
     peaks = row.torque_peak_nm, row.force_difference_peak_n
     commands = (f"{peak:.0f}" if peak >= SMALL else f"{peak:.3g}" for peak in peaks)
-    return (*(f"{size:.4f}" for size in sizes), alarm, *commands)
+    errors = (f"{size:.4f}" if size >= TINY else f"{size:.3g}" for size in sizes)
+    return (*errors, alarm, *commands)
 
 
 def _cases(groups: str | None, own: Sequence[str]) -> dict[str, dict[str, object]]:

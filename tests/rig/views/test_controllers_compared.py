@@ -97,4 +97,11 @@ def test_a_fault_after_the_end_of_the_run_is_said_and_small_commands_have_digits
     assert done.returncode == 0, done.stderr
     said = "note: late: the fault (actuator-dead at 10 s) never occurs: the run ends at 0.2 s"
     assert done.stderr.splitlines() == [said]
+    tiny = asked(
+        "compare", f"{tmp_path}/small:small", "--set", "duration_s=0.2", "--case",
+        "none:fault.kind=none,reference.amplitude_mps2=0",
+        "--set", "limits.torque_nm=0.001", "--set", "limits.force_difference_n=0.001",
+    )  # fmt: skip
+    row = tiny.stdout.splitlines()[1].split()
+    assert 0.0 < float(row[2]) < 1e-4
     assert [line.split()[-2:] for line in done.stdout.splitlines()[1:3]] == [["0.25", "0.5"]] * 2
