@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import click
 
-from can_rig.cli.decoding import Asked, decoding_options
+from can_rig.cli.decoding import Asked, decoding_options, hint
 from can_rig.cli.options import force_option, json_option
 from can_rig.cli.output import json_line, note, reading, say, show, table
 from can_rig.decoding.decode import Decoder
@@ -69,7 +69,11 @@ def command(
         json_line(**_summary(source, decoder, outputs))
     else:
         _print(decoder, outputs)
-    note(source.notice, *(f"{name} does not lie within its message" for name in decoder.left_out))
+    note(
+        source.notice,
+        hint(asked, decoder),
+        *(f"{name} does not lie within its message" for name in decoder.left_out),
+    )
 
 
 def _summary(log: Log, decoder: Decoder, outputs: Sequence[Path]) -> dict[str, Any]:

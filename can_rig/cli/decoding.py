@@ -10,7 +10,7 @@ import click
 
 from can_rig.cli.options import channel_option, log_argument, window_options
 from can_rig.cli.output import reading
-from can_rig.decoding.decode import Databases
+from can_rig.decoding.decode import Databases, Decoder
 from can_rig.errors import RigError
 from can_rig.frames.databases import load_database, load_for, shipped_dbc
 from can_rig.logs.frames import Frames, Log, Window, window_of
@@ -64,6 +64,17 @@ class Asked:
         return [
             (bus, load_database(file, self.strict)) for bus, file in map(bus_and_file, self.named)
         ]
+
+
+def hint(asked: Asked, decoder: Decoder) -> str | None:
+    """A line where a log without --dbc has frames by the rig's names, none of them the rig's."""
+    foreign = [name for name, of in decoder.counts.items() if of.frames and not of.decoded]
+    if asked.named or asked.path.is_dir() or not foreign:
+        return None
+    return (
+        f"no frame of {', '.join(foreign)} is intact, by the rig's own database; "
+        "--dbc names the log's"
+    )
 
 
 def bus_and_file(name: str) -> tuple[str | None, str]:

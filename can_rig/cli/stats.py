@@ -7,7 +7,7 @@ from typing import Any, Final
 import click
 
 from can_rig.assessment.frame_length import FrameError
-from can_rig.cli.decoding import Asked, decoding_options
+from can_rig.cli.decoding import Asked, decoding_options, hint
 from can_rig.cli.options import force_option, json_option
 from can_rig.cli.output import json_line, note, say, table, wide
 from can_rig.decoding.decode import Decoder
@@ -71,7 +71,7 @@ def command(
         json_line(log=str(source.path), **result, notice=source.notice)
         return
     _print(result)
-    note(source.notice)
+    note(source.notice, hint(asked, decoder))
     if out is not None:
         say(f"picture in {out}")
 

@@ -284,6 +284,18 @@ def test_unknown_identifiers_are_told_from_their_counts(tmp_path):
     assert "frames not in the database: 2 (identifier 0x123: 2)" in done.stdout
 
 
+@pytest.mark.parametrize("command", ["decode", "stats"])
+def test_a_strangers_log_is_not_called_a_damaged_one_of_the_rig(command, tmp_path, drive):
+    """Frames of another car, by an identifier that the rig has too."""
+    log, dbc = tmp_path / "a.log", tmp_path / "car.dbc"
+    log.write_text("(1.000000) can0 100#0011223344556677\n(2.000000) can0 100#1122334455667788\n")
+    dbc.write_text('BO_ 256 SPEED: 8 A\n SG_ V : 0|16@1+ (1,0) [0|0] "" A\n')
+    said = "note: no frame of DSTAR_REFERENCE is intact, by the rig's own database; --dbc names"
+    assert said in asked(command, log).stderr
+    assert asked(command, log, "--dbc", dbc).stderr == ""
+    assert asked(command, drive).stderr == ""
+
+
 HOSTILE = ("../../pwned", "..", "/tmp/x", "a b/c", "Speed", "SPEED", "CON", "x" * 300)
 """Names of messages that KCD and SYM hold."""
 
