@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import linalg
 
 from firmware_model.design.plants import Plant
 from firmware_model.discretisation.rules import Rule
@@ -149,7 +148,9 @@ def turn(
     generator = np.zeros((SIZE, SIZE))
     scale = np.linalg.norm(ours[0], axis=1)  # accumulators differ by powers of the tick
     first, second = (each / scale[:, None] for each in ours)
-    found = linalg.logm(second @ np.linalg.inv(first)).real
+    # scipy's logm draws random numbers: its last digits differ from call to call
+    factors, modes = np.linalg.eig((second @ np.linalg.inv(first)).astype(np.complex128))
+    found = (modes * np.log(factors) @ np.linalg.inv(modes)).real
     generator[np.ix_(reached, reached)] = scale[:, None] * found / scale
     return generator
 

@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from scipy import linalg
 
 from firmware_model.design.actuator_dynamics import Stage, behind
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.design.vehicle import TABLE_3_2
-from firmware_model.discretisation.paired import followed, groups, paired_alike, turn
+from firmware_model.discretisation.paired import coordinates, followed, groups, paired_alike, turn
 from firmware_model.discretisation.schedules import AtSpeed, schedule
-from firmware_model.discretisation.sections import from_delta_zpk
+from firmware_model.discretisation.sections import from_delta_zpk, realisation
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.errors import DesignError, ImproperError, ParameterError, UnstablePlantError
 from tests.firmware.scheduled import SPECIFICATION, SPEEDS, TARGET, car, scheduled
@@ -126,6 +127,20 @@ def test_a_state_that_no_output_shows_is_refused():
     at = (hidden, zoh(hidden.g1, TICK_S))
     with pytest.raises(DesignError, match="has 3 states and 2 after discretisation"):
         turn(at, at, 0, "zoh")
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+def test_a_turn_is_that_of_the_states_and_draws_no_random_number(channel):
+    """Against the exponential of scipy: an export must have the same digits every time."""
+    at = [(car(each), zoh((car(each).g1, car(each).g2)[channel], TICK_S)) for each in SPEEDS[:2]]
+    before = np.random.get_state()[1:3]
+    generator = turn(at[0], at[1], channel, "zoh")
+    after = np.random.get_state()[1:3]
+    assert after[1] == before[1] and (after[0] == before[0]).all()
+    first, second = (coordinates(*each, channel, "zoh") for each in at)
+    reached = realisation(at[0][1])[4]
+    turned = linalg.expm(generator[np.ix_(reached, reached)]) @ first
+    np.testing.assert_allclose(turned, second, rtol=1e-9, atol=1e-9 * abs(second).max())
 
 
 @pytest.mark.parametrize("rule", ["tustin", "tustin-held"])
