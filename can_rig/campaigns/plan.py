@@ -5,6 +5,7 @@ import operator
 import shlex
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -22,17 +23,7 @@ from can_rig.campaigns.settings import (
     Scalar,
 )
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import (
-    LIMITS,
-    NEW,
-    Written,
-    as_settings,
-    linear_kind,
-    model_follows,
-    value_in,
-    with_values,
-    written,
-)
+from can_rig.scenario.loading import LIMITS, NEW, Written, as_settings, value_in, written
 from can_rig.scenario.plant_settings import SHORTEST_LAG_S
 from can_rig.scenario.sensor_settings import MEASURED
 from can_rig.scenario.settings import Scenario
@@ -68,7 +59,7 @@ class Base:
     @cached_property
     def scenario(self) -> Scenario:
         """The scenario with the campaign's settings, before any axis changes it."""
-        return resolve(self.file.with_changes(self._common).draft)
+        return resolve(self.file.with_changes(self._common, "").draft)
 
     @cached_property
     def values(self) -> dict[str, Any]:
@@ -137,13 +128,11 @@ class Base:
             number = values.get(other, self.value(other))
             if isinstance(number, bool) or not isinstance(number, int | float):
                 raise ScenarioError(
-                    f"campaign {self.settings.name}: {key}: {how} = {other!r}: must be a key with "
+                    f"{key}: {how} = {other!r}: must be a key with "
                     f"a number in each run; there it is {number!r}"
                 )
             if how == "per" and number == 0.0:
-                raise ScenarioError(
-                    f"campaign {self.settings.name}: {key}: per = {other!r}: must not be 0"
-                )
+                raise ScenarioError(f"{key}: per = {other!r}: must not be 0")
             value = OPERATIONS[how](value, float(number))
         if isinstance(self.value(key), int):
             return math.ceil(value - ROUNDING)
@@ -153,14 +142,9 @@ class Base:
         """The scenario of a run: the common settings, then these values.
 
         Raises:
-            ScenarioError: the values are invalid.
+            ScenarioError: an unknown key, or an invalid value.
         """
-        followed = [key for key in self._followed if f"plant.{key}" in changes]
-        of_model = {f"model.{key}": changes[f"plant.{key}"] for key in followed}
-        if "model.kind" in of_model:
-            plant = self._file_of_all.values.get("plant", {})
-            of_model["model.kind"] = linear_kind({**plant, "kind": changes["plant.kind"]})
-        return resolve(with_values(self._file_of_all.draft, {**of_model, **changes}))
+        return resolve(self._file_of_all.with_changes(as_settings(changes), "").draft)
 
     def command_with(self, changes: dict[str, Scalar]) -> str:
         """The command that repeats a run with these values, frames included."""
@@ -168,14 +152,6 @@ class Base:
         for change in [*self._of_all, *as_settings(changes)]:
             words += ["--set", change]
         return shlex.join(words)
-
-    def require_keys(self, changes: dict[str, Scalar]) -> None:
-        """Refuse unknown keys, like ``--set``.
-
-        Raises:
-            ScenarioError: names the key.
-        """
-        resolve(self._file_of_all.with_changes(as_settings(changes)).draft)
 
     @cached_property
     def _common(self) -> list[str]:
@@ -188,14 +164,7 @@ class Base:
 
     @cached_property
     def _file_of_all(self) -> Written:
-        return self.file.with_changes(self._of_all)
-
-    @cached_property
-    def _followed(self) -> list[str]:
-        """Keys of the plant with an axis that the controller's model follows."""
-        axes, values = self.settings.keys, self._file_of_all.values
-        keys = [key.removeprefix("plant.") for key in axes if key.startswith("plant.")]
-        return [key for key in keys if f"model.{key}" not in axes and model_follows(values, key)]
+        return self.file.with_changes(self._of_all, "")
 
     @cached_property
     def _kept_beliefs(self) -> list[str]:
@@ -218,7 +187,7 @@ class Base:
             for each, value in known.items():
                 if value is None and len(known) == 1:
                     raise ScenarioError(
-                        f"campaign {self.settings.name}: axes.{key}: model.{part} must be set, so "
+                        f"axes.{key}: model.{part} must be set, so "
                         "that the controller's belief stays as it is, or redesign = true"
                     )
                 if value or len(known) == 1:
@@ -230,11 +199,11 @@ class Base:
             return axis.range
         own = value_in(self.values, key)
         if not self.has(key):
-            wrong = self.file.with_changes([*self._common, f"{key}=1"])
+            wrong = self.file.with_changes([*self._common, f"{key}=1"], "")
             resolve(wrong.draft)  # the error lists valid keys
         if isinstance(own, bool) or not isinstance(own, int | float) or own == 0.0:
             raise ScenarioError(
-                f"campaign {self.settings.name}: axes.{key}.share = {axis.share}: {key} = {own!r} "
+                f"axes.{key}.share = {axis.share}: {key} = {own!r} "
                 "in the scenario; must be a number other than 0, or the axis have a range"
             )
         share = axis.share or 0.0
@@ -300,8 +269,22 @@ class Plan:
 
         The names are the axes, the scenario among several, the choices and the keys of the
         chosen alternatives.
+
+        Raises:
+            ScenarioError: an axis that the scenario, or the values of other keys, cannot give.
         """
-        units = iter(point)
+        with self.named():
+            return self._values_at(iter(point))
+
+    @contextmanager
+    def named(self) -> Iterator[None]:
+        """Let refusals begin with the campaign's name."""
+        try:
+            yield
+        except ScenarioError as error:
+            raise ScenarioError(f"campaign {self.settings.name}: {error}") from None
+
+    def _values_at(self, units: Iterator[float]) -> dict[str, Scalar]:
         drawn = {key: (axis, next(units)) for key, axis in self.settings.axes.items()}
         names: dict[str, Scalar] = {}
         base = self.base
@@ -420,14 +403,8 @@ def plan(settings: CampaignSettings) -> Plan:
         raise ScenarioError(
             f"campaign {settings.name}: {made.runs} runs; must be at most {MOST_RUNS}"
         )
-    try:
-        for point in made.samples:
-            values = made.values_at(point)
-            changes = made.changes_of(0, values)
-            made.base_of(values).require_keys(changes)
-            made.base_of(values).scenario_with(changes)
-    except ScenarioError as error:
-        said = str(error).removeprefix("--set ")
-        where = "" if said.startswith("campaign ") else f"campaign {settings.name}: "
-        raise ScenarioError(f"{where}{said}") from None
+    for point in made.samples:
+        values = made.values_at(point)
+        with made.named():
+            made.base_of(values).scenario_with(made.changes_of(0, values))
     return made

@@ -62,33 +62,36 @@ class Whole(dict[str, Any]):
     """A table that replaces the whole table of its key."""
 
 
-def change(values: dict[str, Any], setting: str) -> None:
-    """Apply one ``KEY=VALUE``; a value that is invalid TOML is a string, so quotes are optional."""
+def change(values: dict[str, Any], setting: str, where: str = "--set ") -> None:
+    """Apply one ``KEY=VALUE``; a value that is invalid TOML is a string, so quotes are optional.
+
+    ``where`` says whose change it is, and begins the line of a refusal.
+    """
     key, equals, text = setting.partition("=")
     parts = key.strip().split(".")
     if not equals or not all(parts):
-        raise ScenarioError(f"--set {setting}: must be KEY=VALUE, as in plant.speed_mps=20")
+        raise ScenarioError(f"{where}{setting}: must be KEY=VALUE, as in plant.speed_mps=20")
     if any("\ud800" <= letter <= "\udfff" for letter in setting):
-        raise ScenarioError(f"--set {setting!a}: must be text of this terminal's encoding")
+        raise ScenarioError(f"{where}{setting!a}: must be text of this terminal's encoding")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text.strip()
     except ValueError:  # Python's limit on digits
         most = sys.get_int_max_str_digits()
-        raise ScenarioError(f"--set {setting[:40]}...: must have at most {most} digits") from None
+        raise ScenarioError(f"{where}{setting[:40]}...: must have at most {most} digits") from None
     table = values
     if parts[0] in LISTS and len(parts) > 1:
-        table, parts = _of_list(values, setting, parts[0], parts[1:])
+        table, parts = _of_list(values, f"{where}{setting}", parts[0], parts[1:])
     for part in parts[:-1]:
         table = table.setdefault(part, {})
         if not isinstance(table, dict):
-            raise ScenarioError(f"--set {setting}: {part} is a value and has no keys")
+            raise ScenarioError(f"{where}{setting}: {part} is a value and has no keys")
     table[parts[-1]] = value
 
 
 def _of_list(
-    values: dict[str, Any], setting: str, name: str, parts: list[str]
+    values: dict[str, Any], where: str, name: str, parts: list[str]
 ) -> tuple[dict[str, Any], list[str]]:
     """The table of the fault or disturbance in ``parts``, by number if several exist.
 
@@ -101,10 +104,10 @@ def _of_list(
         at = 0
     known = ", ".join(f"{name}.{number}" for number in range(len(tables)))
     if at is None or at > len(tables) or not own:
-        raise ScenarioError(f"--set {setting}: must be a key of {known} or {name}.{len(tables)}")
+        raise ScenarioError(f"{where}: must be a key of {known} or {name}.{len(tables)}")
     tables = [*tables, {}] if at == len(tables) else tables
     if not isinstance(tables[at], dict):
-        raise ScenarioError(f"--set {setting}: {name} is a value and has no keys")
+        raise ScenarioError(f"{where}: {name} is a value and has no keys")
     values[name] = tables if len(tables) > 1 else tables[0]
     return tables[at], own
 
@@ -264,15 +267,15 @@ class Written:
     name: str
     values: dict[str, Any]
 
-    def with_changes(self, settings: Iterable[str]) -> Written:
-        """A copy with ``KEY=VALUE`` changes, before any check of keys.
+    def with_changes(self, settings: Iterable[str], where: str = "--set ") -> Written:
+        """A copy with ``KEY=VALUE`` changes, before any check of keys; ``where``: see ``change``.
 
         Raises:
             ScenarioError: an invalid change.
         """
         values: dict[str, Any] = _copied(self.values)
         for setting in settings:
-            change(values, setting)
+            change(values, setting, where)
         return replace(self, values=values)
 
     @cached_property
@@ -448,77 +451,6 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
             said = re.sub(f"^{key}\\.0", key, said)
         raise ScenarioError(f"scenario {name}: {said}") from None
     return Draft(scenario, from_bus)
-
-
-def with_values(draft: Draft, values: Mapping[str, Any]) -> Draft:
-    """The draft with other values of known keys, with dots; ``KEY=VALUE`` changes do the same.
-
-    No text is read: settings objects replace settings objects. ``model`` follows no key of the
-    plant.
-
-    Raises:
-        ScenarioError: a bad value.
-    """
-    scenario, from_bus = draft.scenario, draft.latency_from_bus
-    tables: dict[str, Any] = {}
-    for key, value in values.items():
-        if key == LATENCY:
-            from_bus = value == FROM_BUS
-            if from_bus:
-                continue
-        _put(tables, key, value)
-    try:
-        for key in tables.keys() & set(LISTS):
-            tables[key] = _with_listed(key, getattr(scenario, key), tables[key])
-        return Draft(_with(scenario, tables), from_bus)
-    except ScenarioError as error:
-        raise ScenarioError(f"scenario {scenario.name}: {error}") from None
-
-
-def _put(tables: dict[str, Any], key: str, value: Any) -> None:
-    """Set the value of a key with dots, in tables within tables."""
-    *path, last = key.split(".")
-    for part in path:
-        tables = tables.setdefault(part, {})
-    tables[last] = value
-
-
-def _with_listed(name: str, given: tuple[Any, ...], changes: Mapping[str, Any]) -> tuple[Any, ...]:
-    """The faults or disturbances with changes by number, or with the changes of a single table."""
-    listed = dict(enumerate(given))
-    numbered = {int(key): table for key, table in changes.items() if key.isdecimal()}
-    for at, table in sorted((numbered or {0: changes}).items()):
-        where = name if len(listed) == 1 and at == 0 else f"{name}.{at}"
-        listed[at] = _with(listed.get(at, NEW[name]), table, where)
-    return tuple(listed.values())
-
-
-def _with(settings: Any, changes: Mapping[str, Any], where: str = "") -> Any:
-    """A copy of a settings object, or of a table of free keys, with these values."""
-    made = dict(changes)
-    for name, change in changes.items():
-        if isinstance(change, dict):
-            of = settings.get(name, {}) if isinstance(settings, dict) else getattr(settings, name)
-            made[name] = _with(of, change, f"{where}.{name}" if where else name)
-    if isinstance(settings, dict):
-        return {**settings, **made}
-    try:
-        return replace(settings, **made)
-    except ValidationError as error:
-        raise ScenarioError(refusal(error, type(settings), where)) from None
-
-
-def model_follows(values: Mapping[str, Any], key: str) -> bool:
-    """Whether ``model`` takes the value of a key of the plant, as it does without a key of its own.
-
-    Args:
-        values: of a scenario's file.
-        key: within the table ``plant``, with dots.
-    """
-    mark = object()
-    plant: dict[str, Any] = _copied(values.get("plant", {}))
-    _put(plant, key, mark)
-    return value_in(_believed(plant, values.get("model", {})), key) is mark
 
 
 def linear_kind(plant: Mapping[str, Any]) -> str:

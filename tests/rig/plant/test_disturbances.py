@@ -21,7 +21,6 @@ from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.plant.protocol import require_world
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import WORLD_COLUMNS
-from can_rig.scenario.loading import as_settings, read, with_values
 from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.simulation import LoopPlant
 from tests.firmware.analysis.world import Integrated
@@ -234,28 +233,6 @@ def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick():
         expected = alone.advance(0.002, 0.0, 0.0, around)
         assert plant.follow(0.0, 0.0, 1.0, 1.0)[0] == pytest.approx(expected, rel=1e-6, abs=1e-9)
     assert abs(expected) > 0.01
-
-
-# --- changes --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("given", "values"),
-    [([], {"disturbance.kind": "gust", "disturbance.force_n": 30.0}),
-     ([GUST], {"disturbance.force_n": 30.0}),
-     ([GUST], {"disturbance.1.kind": "bank", "disturbance.1.bank_percent": 2.0}),
-     ([GUST, "disturbance.1.kind=none"], {"disturbance.1.at_s": 2.0, "disturbance.0.arm_m": 1.0})],
-)  # fmt: skip
-def test_an_axis_changes_what_a_setting_changes(given, values):
-    """Campaigns replace settings in a scenario; ``--set`` writes into its text."""
-    written = read("default", [*given, *as_settings(values)])
-    assert with_values(read("default", given), values) == written
-    assert written.scenario.disturbances
-
-
-def test_an_axis_out_of_bounds_is_refused():
-    with pytest.raises(ScenarioError, match=r"disturbance.force_n = 1000000.0: must be at m"):
-        with_values(read("default", [GUST]), {"disturbance.force_n": 1e6})
 
 
 # --- what is refused ------------------------------------------------------------------------------
