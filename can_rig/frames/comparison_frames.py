@@ -2,14 +2,13 @@
 
 import json
 import zlib
-from struct import Struct
 from typing import Final, NamedTuple
 
 from can import Message
 
-from can_rig.errors import DbcError
-from can_rig.frames.codec import FRAME_BYTES, Checker, CheckStatus, Protector
-from can_rig.frames.databases import attribute, load_dbc, shipped_dbc
+from can_rig.frames.codec import COUNTERS
+from can_rig.frames.databases import load_dbc, shipped_dbc
+from can_rig.frames.operator_frames import intact, protected
 
 DBC: Final = "agreement.dbc"
 SENDERS: Final = {"plant": "PLANT", "controller": "CONTROLLER"}
@@ -18,10 +17,6 @@ ASKED: Final = 0xFFFF
 """Key of a node that asks whether a node of the same kind is there."""
 PRESENT: Final = 0xFFFE
 """Key of the answer."""
-
-_FRAME: Final = Struct("<BBHI")  # checksum; counter; key; digest
-_PLACES: Final = {"Checksum": (0, 8), "AliveCounter": (8, 4), "Key": (16, 16), "Digest": (32, 32)}
-_DAMAGED: Final = (CheckStatus.WRONG_CRC, CheckStatus.WRONG_LENGTH)
 
 
 class Comparison(NamedTuple):
@@ -43,41 +38,23 @@ class ComparisonFrame:
 
     Args:
         node: the sending node, a key of `SENDERS`.
-
-    Raises:
-        DbcError: a DBC without this message, or a different layout.
     """
 
     def __init__(self, node: str) -> None:
-        path = shipped_dbc(DBC)
-        found = [m for m in load_dbc(path).messages if m.senders == [SENDERS[node]]]
-        if len(found) != 1:
-            raise DbcError(f"{path}: {len(found)} messages of {SENDERS[node]}; it must have one")
-        (message,) = found
-        places = {each.name: (each.start, each.length) for each in message.signals}
-        data_id = attribute(message, "E2EDataId")
-        if places != _PLACES or message.length != FRAME_BYTES or not isinstance(data_id, int):
-            raise DbcError(f"{path}: message {message.name}: it must have the signals {_PLACES}")
-        self.frame_id: Final = message.frame_id
-        self._protector = Protector(data_id)
-        self._checker = Checker(data_id)
+        every = load_dbc(shipped_dbc(DBC)).messages
+        (self._frame,) = (each for each in every if each.senders == [SENDERS[node]])
+        self.frame_id: Final = self._frame.frame_id
+        self._counter = -1
 
     def message(self, said: Comparison) -> Message:
         """The next frame, ready to send."""
-        data = bytearray(_FRAME.pack(0, 0, said.key, said.digest))
-        self._protector.protect(data)
-        return Message(arbitration_id=self.frame_id, is_extended_id=False, data=data)
+        self._counter = (self._counter + 1) % COUNTERS
+        return protected(self._frame, {"Key": said.key, "Digest": said.digest}, self._counter)
 
     def read(self, message: Message) -> Comparison | None:
         """The content of a frame; None for a damaged frame or another identifier.
 
         The counter has no influence: losing or repeating a frame causes no wrong comparison.
         """
-        if message.arbitration_id != self.frame_id:
-            return None
-        if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
-            return None
-        if self._checker.check(message.data) in _DAMAGED:
-            return None
-        _, _, key, said = _FRAME.unpack(message.data)
-        return Comparison(key, said)
+        said = intact(self._frame, message) if message.arbitration_id == self.frame_id else None
+        return None if said is None else Comparison(int(said["Key"]), int(said["Digest"]))

@@ -1,8 +1,8 @@
 """The frames of ``dbc/control.dbc``, which command a run from outside."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Final, Literal, NamedTuple, cast
+from typing import Any, Final, Literal, NamedTuple, cast
 
 from can import Message
 from cantools.database.can import Message as DbcMessage
@@ -28,8 +28,6 @@ OF_FAULTS: Final = ("actuator-", "sensor-", "frames-")
 SHORTEST_S: Final = 0.1
 LONGEST_S: Final = 25.5
 """Longest time of a fault with a set end."""
-
-_NAMES: Final = ("CONTROL", "STATE", "APPLIED", "TAKEN", "MOTION")
 
 Action = Literal["INJECT", "CLEAR", "MOVE_REFERENCE", "PACE", "PAUSE", "STEP"]
 
@@ -86,7 +84,7 @@ class Identifiers(NamedTuple):
 @cache
 def identifiers() -> Identifiers:
     """Those of the DBC."""
-    return Identifiers(*(_message(f"RIG_{name}").frame_id for name in _NAMES))
+    return Identifiers(*(_message(f"RIG_{each.upper()}").frame_id for each in Identifiers._fields))
 
 
 def kinds() -> tuple[str, ...]:
@@ -132,8 +130,6 @@ def _command_message(name: str, command: Command, sequence: int) -> Message:
     clears = {place: action for action, place in CLEARS.items()}
     wide = clears.get(command.place, "") if command.action == "CLEAR" else ""
     data: dict[str, float | str] = {
-        "Checksum": 0,
-        "AliveCounter": 0,
         "Action": wide or command.action,
         "Sequence": sequence,
         "Kind": command.kind or 0,
@@ -144,14 +140,14 @@ def _command_message(name: str, command: Command, sequence: int) -> Message:
         else min(max(command.duration_s, SHORTEST_S), LONGEST_S),
         "Value": min(max(command.value or 0.0, low), high),
     }
-    return _protected(name, data, sequence % COUNTERS)
+    return protected(_message(name), data, sequence % COUNTERS)
 
 
 def _read_command(name: str, message: Message) -> tuple[int, Command] | None:
-    said = _intact(name, message)
+    said = intact(_message(name), message)
     if said is None:
         return None
-    sequence = cast(int, said["Sequence"])
+    sequence = int(said["Sequence"])
     if said["AliveCounter"] != sequence % COUNTERS:
         return None
     action, kind, place = (str(said[name]) for name in ("Action", "Kind", "Place"))
@@ -170,8 +166,8 @@ def _read_command(name: str, message: Message) -> tuple[int, Command] | None:
         cast(Action, action),
         kind if injects else None,
         place,
-        float(cast(float, said["Value"])) if said["HasValue"] else None,
-        float(cast(float, said["Duration"])) or None,
+        float(said["Value"]) if said["HasValue"] else None,
+        float(said["Duration"]) or None,
     )
     return sequence, command
 
@@ -179,8 +175,6 @@ def _read_command(name: str, message: Message) -> tuple[int, Command] | None:
 def state_message(state: State, counter: int) -> Message:
     """The frame of ``state``."""
     data = {
-        "Checksum": 0,
-        "AliveCounter": 0,
         "Injectable": state.injectable,
         "Paused": state.paused,
         "NextSequence": state.next_sequence,
@@ -188,15 +182,15 @@ def state_message(state: State, counter: int) -> Message:
         "Refused": min(state.refused, 65535),
         "Pace": min(state.pace, 655.35),
     }
-    return _protected("RIG_STATE", data, counter % COUNTERS)
+    return protected(_message("RIG_STATE"), data, counter % COUNTERS)
 
 
 def read_state(message: Message) -> State | None:
     """What a ``RIG_STATE`` says; None if it is damaged."""
-    said = _intact("RIG_STATE", message)
+    said = intact(_message("RIG_STATE"), message)
     if said is None:
         return None
-    numbers = {name: float(cast(float, value)) for name, value in said.items()}
+    numbers = {name: float(value) for name, value in said.items()}
     return State(
         bool(numbers["Injectable"]),
         bool(numbers["Paused"]),
@@ -209,17 +203,13 @@ def read_state(message: Message) -> State | None:
 
 def applied_message(applied_1: float, applied_2: float) -> Message:
     """The frame of both actuators' applied values."""
-    frame = _message("RIG_APPLIED")
-    data = frame.encode({"Applied1": applied_1, "Applied2": applied_2}, strict=False)
-    return Message(arbitration_id=frame.frame_id, is_extended_id=False, data=data)
+    return _plain("RIG_APPLIED", (applied_1, applied_2))
 
 
 def read_applied(message: Message) -> tuple[float, float] | None:
     """The applied values of both actuators; None for a wrong length."""
-    if len(message.data) != FRAME_BYTES:
-        return None
-    said = cast(dict[str, float], _message("RIG_APPLIED").decode(bytes(message.data)))
-    return float(said["Applied1"]), float(said["Applied2"])
+    values = _read_plain("RIG_APPLIED", message)
+    return None if values is None else (values[0], values[1])
 
 
 class Motion(NamedTuple):
@@ -233,38 +223,50 @@ class Motion(NamedTuple):
 
 def motion_message(motion: Motion) -> Message:
     """The frame of ``motion``; values saturate."""
-    frame = _message("RIG_MOTION")
-    data = {
-        signal.name: min(max(value, float(signal.minimum or 0)), float(signal.maximum or 0))
-        for signal, value in zip(frame.signals, motion, strict=True)
-    }
-    content = frame.encode(data)
-    return Message(arbitration_id=frame.frame_id, is_extended_id=False, data=content)
+    signals = _message("RIG_MOTION").signals
+    return _plain("RIG_MOTION", [
+        min(max(value, float(signal.minimum or 0)), float(signal.maximum or 0))
+        for signal, value in zip(signals, motion, strict=True)
+    ])  # fmt: skip
 
 
 def read_motion(message: Message) -> Motion | None:
     """What a ``RIG_MOTION`` says; None for a wrong length."""
+    values = _read_plain("RIG_MOTION", message)
+    return None if values is None else Motion(*values)
+
+
+def _plain(name: str, values: Sequence[float]) -> Message:
+    """A frame without protection, of the values of its signals."""
+    frame = _message(name)
+    said = {signal.name: value for signal, value in zip(frame.signals, values, strict=True)}
+    data = frame.encode(said, strict=False)
+    return Message(arbitration_id=frame.frame_id, is_extended_id=False, data=data)
+
+
+def _read_plain(name: str, message: Message) -> tuple[float, ...] | None:
     if len(message.data) != FRAME_BYTES:
         return None
-    said = cast(dict[str, float], _message("RIG_MOTION").decode(bytes(message.data)))
-    return Motion(*(float(value) for value in said.values()))
+    said = cast(dict[str, float], _message(name).decode(bytes(message.data)))
+    return tuple(float(value) for value in said.values())
 
 
-def _protected(name: str, data: Mapping[str, float | str], counter: int) -> Message:
-    frame = _message(name)
-    content = bytearray(frame.encode(dict(data), strict=False))
+def protected(frame: DbcMessage, data: Mapping[str, float | str], counter: int) -> Message:
+    """A frame of these signals, with the alive counter and the checksum of E2E profile 1."""
+    every = {"Checksum": 0, "AliveCounter": 0, **data}
+    content = bytearray(frame.encode(every, strict=False))
     content[1] = (content[1] & 0xF0) | (counter - 1) % COUNTERS  # the library counts on
     e2e_p01_protect(content, _data_id(frame))
     return Message(arbitration_id=frame.frame_id, is_extended_id=False, data=content)
 
 
-def _intact(name: str, message: Message) -> dict[str, object] | None:
-    frame = _message(name)
+def intact(frame: DbcMessage, message: Message) -> dict[str, Any] | None:
+    """The signals in ``message``, one of ``frame``; None if it is damaged or of another kind."""
     if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
         return None
     if len(message.data) != FRAME_BYTES or not e2e_p01_check(message.data, _data_id(frame)):
         return None
-    return cast(dict[str, object], frame.decode(bytes(message.data)))
+    return cast(dict[str, Any], frame.decode(bytes(message.data)))
 
 
 def _data_id(frame: DbcMessage) -> int:
