@@ -153,9 +153,12 @@ class SignalColumn:
 
     def raw(self, data: UInt8s) -> Column:
         """(n,) raw values in payloads (n, bytes) that are long enough for the signal."""
+        first_bit = self.first_bit
+        if self.motorola:  # from behind it is Intel's
+            data, first_bit = data[:, ::-1], data.shape[1] * 8 - first_bit - self.length
         if self.length > _WORD_BITS:
-            return self._long(data)
-        word = self._motorola_bits(data) if self.motorola else self._intel_bits(data)
+            return self._long(data, first_bit)
+        word = self._bits(data, first_bit)
         if self.length < _WORD_BITS:
             word &= np.uint64((1 << self.length) - 1)
         if self.is_float:
@@ -214,49 +217,35 @@ class SignalColumn:
                 return exact
         return np.array([value * scale + offset for value in raw.tolist()], dtype=object)
 
-    def _intel_bits(self, data: UInt8s) -> NDArray[np.uint64]:
+    def _bits(self, data: UInt8s, first_bit: int) -> NDArray[np.uint64]:
         """The signal in the low bits of words, whose other bits are not cleared."""
-        byte, shift = divmod(self.first_bit, 8)
-        word, begin = _window(data, byte, "<u8")
+        byte, shift = divmod(first_bit, 8)
+        word, begin = _window(data, byte, self.motorola)
         shift += (byte - begin) * 8
         word >>= np.uint64(shift)
         if shift + self.length > _WORD_BITS:  # its top bits are in a ninth byte
             word |= data[:, begin + _WORD_BYTES].astype(np.uint64) << np.uint64(_WORD_BITS - shift)
         return word
 
-    def _motorola_bits(self, data: UInt8s) -> NDArray[np.uint64]:
-        """The same for Motorola: the first byte of a frame is the most significant."""
-        word, begin = _window(data, self.first_bit // 8, ">u8")
-        behind = (begin + _WORD_BYTES) * 8 - (
-            self.first_bit + self.length
-        )  # bits after it in the window
-        if behind >= 0:
-            word >>= np.uint64(behind)
-            return word
-        word <<= np.uint64(-behind)  # its last bits are in a ninth byte
-        word |= data[:, begin + _WORD_BYTES].astype(np.uint64) >> np.uint64(8 + behind)
-        return word
-
-    def _long(self, data: UInt8s) -> NDArray[np.object_]:
+    def _long(self, data: UInt8s, first_bit: int) -> NDArray[np.object_]:
         """Decode signals of more than 64 bits, one value at a time."""
-        size = data.shape[1]
-        order = "big" if self.motorola else "little"
-        behind = size * 8 - self.first_bit - self.length if self.motorola else self.first_bit
         mask, sign = (1 << self.length) - 1, 1 << self.length - 1
         values = np.empty(len(data), dtype=object)
         for row, payload in enumerate(data):
-            bits = int.from_bytes(payload.tobytes(), order) >> behind & mask  # type: ignore[arg-type]
+            bits = int.from_bytes(payload.tobytes(), "little") >> first_bit & mask
             values[row] = (bits ^ sign) - sign if self.is_signed else bits
         return values
 
 
-def _window(data: UInt8s, byte: int, kind: str) -> tuple[NDArray[np.uint64], int]:
+def _window(data: UInt8s, byte: int, backwards: bool) -> tuple[NDArray[np.uint64], int]:
     """Eight bytes of every payload as one word, and their first byte: ``byte`` or the previous."""
     begin = max(min(byte, data.shape[1] - _WORD_BYTES), 0)
     eight = data[:, begin : begin + _WORD_BYTES]
     if eight.shape[1] < _WORD_BYTES:
         eight = np.pad(eight, ((0, 0), (0, _WORD_BYTES - eight.shape[1])))
-    return np.ascontiguousarray(eight).view(kind)[:, 0].astype(np.uint64), begin
+    if backwards:  # in memory as the frame has them: no copy
+        return np.ascontiguousarray(eight[:, ::-1]).view(">u8")[:, 0].astype(np.uint64), begin
+    return np.ascontiguousarray(eight).view("<u8")[:, 0].astype(np.uint64), begin
 
 
 def byte_column(name: str) -> SignalColumn:
