@@ -31,6 +31,7 @@ CLASSIC_BYTES: Final = 8
 
 _TAIL_BITS: Final = 10  # CRC delimiter, ACK slot, ACK delimiter, end of frame
 _STUFF_COUNT_BITS: Final = 4  # three, Gray-coded, and their parity
+_ARBITRATION_BITS: Final = 17, 36  # of an FD frame from the start of frame to BRS, unstuffed
 _LENGTH_OF_CRC_17: Final = 16  # longest data of an FD frame with the short CRC [bytes]
 
 
@@ -94,41 +95,26 @@ def worst_case_bits(
     s + 13 + (g + 8 s - 1) // 4 bits, g = 34 or 54. In FD frames the first fixed stuff bit replaces
     a stuff bit after the last bit, giving (n - 2) // 4.
 
+    The rate switches at the sample points of BRS and of the CRC delimiter, so both bits are partly
+    nominal and partly data. Together both bits last one bit of each rate, for any sample points.
+    Here BRS counts as nominal.
+
     Raises:
         FrameError: a length outside the standard.
     """
-    _require_length(length, fd)
-    if not fd:
-        bits = (54 if extended else 34) + (0 if remote else 8 * length)
-        return FrameBits(bits + (bits - 1) // 4 + _TAIL_BITS)
-    arbitration = _arbitration_bits(extended)
-    early = (arbitration - 2) // 4  # all at the slower rate, the longest duration
-    late = (arbitration + 5 + 8 * length - 2) // 4 - early
-    return _fd_bits(length, extended, brs, early, late)
-
-
-def _require_length(length: int, fd: bool) -> None:
     if length not in (FD_LENGTHS if fd else range(CLASSIC_BYTES + 1)):
         kind = "an FD" if fd else "a classic"
         possible = "0 to 8, 12, 16, 20, 24, 32, 48 or 64" if fd else "0 to 8"
         raise FrameError(f"{kind} frame of {length} bytes: must have {possible}")
-
-
-def _arbitration_bits(extended: bool) -> int:
-    """Bits of an FD frame from the start of frame to BRS, unstuffed."""
-    return 36 if extended else 17
-
-
-def _fd_bits(length: int, extended: bool, brs: bool, early: int, late: int) -> FrameBits:
-    """An FD frame with `early` dynamic stuff bits before its BRS bit and `late` bits after BRS.
-
-    The rate switches at the sample points of BRS and of the CRC delimiter, so both bits are partly
-    nominal and partly data. Together both bits last one bit of each rate, for any sample points.
-    Here BRS counts as nominal.
-    """
+    if not fd:
+        bits = (54 if extended else 34) + (0 if remote else 8 * length)
+        return FrameBits(bits + (bits - 1) // 4 + _TAIL_BITS)
+    arbitration = _ARBITRATION_BITS[extended]
+    early = (arbitration - 2) // 4  # all at the slower rate, the longest duration
+    late = (arbitration + 5 + 8 * length - 2) // 4 - early
     crc = 17 if length <= _LENGTH_OF_CRC_17 else 21
     check = _STUFF_COUNT_BITS + crc
     fixed = -(-check // 4)  # a stuff bit before the first bit and after every fourth bit
-    nominal = _arbitration_bits(extended) + early + _TAIL_BITS - 1
+    nominal = arbitration + early + _TAIL_BITS - 1
     data = 1 + 4 + 8 * length + late + check + fixed + 1  # ESI, DLC, ..., CRC delimiter
     return FrameBits(nominal, data) if brs else FrameBits(nominal + data)
