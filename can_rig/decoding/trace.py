@@ -61,22 +61,17 @@ def _signals(message: DbcMessage) -> list[dict[str, Any]]:
             column = signal_column(signal, message.name)
         except DbcError:
             continue
-        found.append(
-            {
-                "name": column.name,
-                "unit": printed(column.unit),
-                "first_bit": column.first_bit,
-                "length": column.length,
-                "motorola": column.motorola,
-                "is_signed": column.is_signed,
-                "is_float": column.is_float,
-                "scale": column.conversion.scale,
-                "offset": column.conversion.offset,
-                "words": column.choices,
-                "under": signal.multiplexer_signal,
-                "ids": list(signal.multiplexer_ids or ()),
-            }
-        )
+        described = vars(column).copy()
+        conversion = described.pop("conversion")
+        described |= {
+            "unit": printed(column.unit),
+            "scale": conversion.scale,
+            "offset": conversion.offset,
+            "words": described.pop("choices"),
+            "under": signal.multiplexer_signal,
+            "ids": list(signal.multiplexer_ids or ()),
+        }
+        found.append(described)
     return found
 
 
