@@ -55,7 +55,6 @@ from can_rig.logs.text import (
 from firmware_model.compiled import compiled
 
 _NS_DIGITS = 9
-_MINUTES_S, _HOURS_S = 60, 3600
 _MOST_HOURS = 1 << 20
 _STAR, _COLON, _ZERO = ord("*"), ord(":"), ord("0")
 _R, _S, _T, _X = ord("r"), ord("s"), ord("t"), ord("x")
@@ -111,17 +110,13 @@ def _line(text: UInt8s, at: int, bases: NDArray[np.int64], row: UInt8s) -> Found
 @compiled
 def _time(text: UInt8s, at: int) -> tuple[int, int]:
     """``hours:minutes:seconds:decimals`` in ns, and the position after it; -1: no time."""
-    hours, at = number(text, at, DECIMAL, _MOST_HOURS)
-    if at < 0 or text[at] != _COLON:
-        return 0, -1
-    minutes, at = number(text, at + 1, DECIMAL, 59)
-    if at < 0 or text[at] != _COLON:
-        return 0, -1
-    seconds, at = number(text, at + 1, DECIMAL, 59)
-    if at < 0 or text[at] != _COLON:
-        return 0, -1
-    value = hours * _HOURS_S + minutes * _MINUTES_S + seconds
-    at += 1
+    value = 0
+    for most in (_MOST_HOURS, 59, 59):
+        part, at = number(text, at, DECIMAL, most)
+        if at < 0 or text[at] != _COLON:
+            return 0, -1
+        value = 60 * value + part
+        at += 1
     first = at
     for _ in range(_NS_DIGITS):
         value *= DECIMAL

@@ -67,7 +67,7 @@ _WIDER: Final = 3
 _BASE_BYTES: Final = 16
 _PADDING = 8  # bytes at most between two objects
 _MESSAGE, _ERROR_EXT, _MESSAGE_2, _FD_MESSAGE, _FD_MESSAGE_64 = 1, 73, 86, 100, 101
-_L, _O, _B, _J = 76, 79, 66, 74
+_LOBJ = int.from_bytes(b"LOBJ", "little")
 _TEN_US = 1
 _LAST_NS = 1 << 62
 _ID_MASK, _EXTENDED_SHIFT = (1 << 29) - 1, 31
@@ -176,12 +176,7 @@ def _copy(data: UInt8s, at: int, size: int, row: UInt8s) -> None:
 def _next_object(data: UInt8s, at: int) -> int:
     """Where "LOBJ" is, within the padding; -1: nowhere."""
     for begin in range(at, min(at + _PADDING, len(data)) - 3):
-        if (
-            data[begin] == _L
-            and data[begin + 1] == _O
-            and data[begin + 2] == _B
-            and data[begin + 3] == _J
-        ):
+        if _u32(data, begin) == _LOBJ:
             return begin
     return -1
 
