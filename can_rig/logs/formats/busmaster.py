@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.errors import LogError
+from can_rig.logs import scan
 from can_rig.logs.frames import (
     CLASSIC_BYTES,
     EXTENDED,
@@ -31,27 +32,7 @@ from can_rig.logs.frames import (
     Log,
     UInt8s,
 )
-from can_rig.logs.text import (
-    BAD,
-    DECIMAL,
-    DIGIT,
-    EXTENDED_ID,
-    FRAME,
-    HEADING,
-    HEXADECIMAL,
-    LAST_NS,
-    LOWER,
-    NO_FRAME,
-    Found,
-    TextReader,
-    blanks,
-    line_loop,
-    next_word,
-    number,
-    payload,
-    shown,
-    word_end,
-)
+from can_rig.logs.text import LAST_NS, TextReader, shown
 from firmware_model.compiled import compiled
 
 _NS_DIGITS = 9
@@ -67,44 +48,44 @@ _BASE: Final = re.compile(rb"\*+(HEX|DEC)\*+", re.I)
 
 
 @compiled
-def _line(text: UInt8s, at: int, bases: NDArray[np.int64], row: UInt8s) -> Found:
-    """See `text.Line`; ``bases`` has the base of bytes and of identifiers without ``0x``."""
-    at = blanks(text, at)
+def _line(text: UInt8s, at: int, bases: NDArray[np.int64], row: UInt8s) -> scan.Found:
+    """See `scan.Line`; ``bases`` has the base of bytes and of identifiers without ``0x``."""
+    at = scan.blanks(text, at)
     if text[at] == _STAR:
-        return HEADING, 0, 0, 0, 0, 0, at
-    if DIGIT[text[at]] >= DECIMAL:
-        return NO_FRAME, 0, 0, 0, 0, 0, at
+        return scan.HEADING, 0, 0, 0, 0, 0, at
+    if scan.DIGIT[text[at]] >= scan.DECIMAL:
+        return scan.NO_FRAME, 0, 0, 0, 0, 0, at
     time_ns, at = _time(text, at)
-    at = next_word(text, at)
-    if at < 0 or word_end(text, at) != at + 2 or text[at + 1] | LOWER != _X:
-        return BAD
-    if text[at] | LOWER not in (_R, _T):
-        return BAD
-    bits = SENT * (text[at] | LOWER == _T)
-    bus, at = number(text, next_word(text, at + 2), DECIMAL, 255)
-    at = next_word(text, at)
+    at = scan.next_word(text, at)
+    if at < 0 or scan.word_end(text, at) != at + 2 or text[at + 1] | scan.LOWER != _X:
+        return scan.BAD
+    if text[at] | scan.LOWER not in (_R, _T):
+        return scan.BAD
+    bits = SENT * (text[at] | scan.LOWER == _T)
+    bus, at = scan.number(text, scan.next_word(text, at + 2), scan.DECIMAL, 255)
+    at = scan.next_word(text, at)
     base = int(bases[0])
-    if at >= 0 and text[at] == _ZERO and text[at + 1] | LOWER == _X:
+    if at >= 0 and text[at] == _ZERO and text[at + 1] | scan.LOWER == _X:
         at += 2
-        base = HEXADECIMAL
-    identifier, at = number(text, at, base, EXTENDED_ID)
-    at = next_word(text, at)
-    if at < 0 or text[at] | LOWER not in (_S, _X):
-        return BAD
-    end = word_end(text, at)
-    bits |= EXTENDED * (text[at] | LOWER == _X)
-    if end == at + 2 and text[at + 1] | LOWER == _R:
+        base = scan.HEXADECIMAL
+    identifier, at = scan.number(text, at, base, scan.EXTENDED_ID)
+    at = scan.next_word(text, at)
+    if at < 0 or text[at] | scan.LOWER not in (_S, _X):
+        return scan.BAD
+    end = scan.word_end(text, at)
+    bits |= EXTENDED * (text[at] | scan.LOWER == _X)
+    if end == at + 2 and text[at + 1] | scan.LOWER == _R:
         bits |= REMOTE
     elif end != at + 1:
-        return BAD
-    size, at = number(text, next_word(text, end), DECIMAL, FD_BYTES)
+        return scan.BAD
+    size, at = scan.number(text, scan.next_word(text, end), scan.DECIMAL, FD_BYTES)
     if bits & REMOTE:
         size = min(size, CLASSIC_BYTES)
     elif at >= 0:
-        at = payload(text, at, int(bases[0]), size, row)
+        at = scan.payload(text, at, int(bases[0]), size, row)
     if at < 0:
-        return BAD
-    return FRAME, time_ns, identifier, bits | FD * (size > CLASSIC_BYTES), bus, size, at
+        return scan.BAD
+    return scan.FRAME, time_ns, identifier, bits | FD * (size > CLASSIC_BYTES), bus, size, at
 
 
 @compiled
@@ -112,26 +93,26 @@ def _time(text: UInt8s, at: int) -> tuple[int, int]:
     """``hours:minutes:seconds:decimals`` in ns, and the position after it; -1: no time."""
     value = 0
     for most in (_MOST_HOURS, 59, 59):
-        part, at = number(text, at, DECIMAL, most)
+        part, at = scan.number(text, at, scan.DECIMAL, most)
         if at < 0 or text[at] != _COLON:
             return 0, -1
         value = 60 * value + part
         at += 1
     first = at
     for _ in range(_NS_DIGITS):
-        value *= DECIMAL
-        if DIGIT[text[at]] < DECIMAL:
-            value += int(DIGIT[text[at]])
+        value *= scan.DECIMAL
+        if scan.DIGIT[text[at]] < scan.DECIMAL:
+            value += int(scan.DIGIT[text[at]])
             at += 1
     return value, at if at > first else -1
 
 
 class _Reader(TextReader):
-    parse = line_loop(_line)
+    parse = scan.line_loop(_line)
 
     def __init__(self, log: Log) -> None:
         super().__init__(log)
-        self.settings = np.array([HEXADECIMAL])
+        self.settings = np.array([scan.HEXADECIMAL])
         self._start: datetime | None = None
         self._is_time_of_day = True
 
@@ -147,7 +128,8 @@ class _Reader(TextReader):
                     f"{self.place()}: a BUSMASTER log of {shown(found[1])}; it must be one of CAN"
                 )
         elif found := _BASE.match(line):
-            self.settings = np.array([DECIMAL if found[1].upper() == b"DEC" else HEXADECIMAL])
+            is_decimal = found[1].upper() == b"DEC"
+            self.settings = np.array([scan.DECIMAL if is_decimal else scan.HEXADECIMAL])
         elif found := _MODE.match(line):
             if found[1].upper() == b"RELATIVE":
                 raise LogError(

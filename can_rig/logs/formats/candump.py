@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.errors import LogError
+from can_rig.logs import scan
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     CLASSIC_BYTES,
@@ -35,27 +36,7 @@ from can_rig.logs.frames import (
     Frames,
     UInt8s,
 )
-from can_rig.logs.text import (
-    BAD,
-    DIGIT,
-    EXTENDED_ID,
-    FRAME,
-    LOWER,
-    NEWLINE,
-    NO_FRAME,
-    NOT_A_DIGIT,
-    STANDARD_ID,
-    Found,
-    TextReader,
-    blanks,
-    fixed_point,
-    is_blank,
-    line_loop,
-    next_line,
-    next_word,
-    word,
-    word_end,
-)
+from can_rig.logs.text import TextReader, word
 from firmware_model.compiled import compiled
 
 _ERROR_BIT, _REMOTE_BIT = 1 << 29, 1 << 30
@@ -67,36 +48,36 @@ _FD_FLAGS_SHIFT: Final = 4  # of BITRATE_SWITCH and ERROR_STATE, in candump's or
 
 
 @compiled
-def _line(text: UInt8s, at: int, names: NDArray[np.int64], row: UInt8s) -> Found:
-    """See `text.Line`; ``names`` are those of the known buses, each with a newline behind it."""
-    at = blanks(text, at)
-    if text[at] == NEWLINE:
-        return NO_FRAME, 0, 0, 0, 0, 0, at
+def _line(text: UInt8s, at: int, names: NDArray[np.int64], row: UInt8s) -> scan.Found:
+    """See `scan.Line`; ``names`` are those of the known buses, each with a newline behind it."""
+    at = scan.blanks(text, at)
+    if text[at] == scan.NEWLINE:
+        return scan.NO_FRAME, 0, 0, 0, 0, 0, at
     if text[at] != _OPEN:
-        return BAD
-    time_ns, at = fixed_point(text, at + 1, _NS_DIGITS)
+        return scan.BAD
+    time_ns, at = scan.fixed_point(text, at + 1, _NS_DIGITS)
     if at < 0 or text[at] != _CLOSE:
-        return BAD
-    name = next_word(text, at + 1)
+        return scan.BAD
+    name = scan.next_word(text, at + 1)
     if name < 0:
-        return BAD
-    end = word_end(text, name)
-    bits, identifier, at = _identifier(text, blanks(text, end))
-    if at < 0 or not is_blank(text[end]):
-        return BAD
+        return scan.BAD
+    end = scan.word_end(text, name)
+    bits, identifier, at = _identifier(text, scan.blanks(text, end))
+    if at < 0 or not scan.is_blank(text[end]):
+        return scan.BAD
     bits, size, at = _payload(text, at, bits, row)
     if at < 0:
-        return BAD
-    if is_blank(text[at]):
-        at = blanks(text, at)
-        if text[at] | LOWER == _T:
+        return scan.BAD
+    if scan.is_blank(text[at]):
+        at = scan.blanks(text, at)
+        if text[at] | scan.LOWER == _T:
             bits |= SENT
-            at = blanks(text, at + 1)
-        elif text[at] | LOWER == _R:
-            at = blanks(text, at + 1)
-    if text[at] != NEWLINE:
-        return BAD
-    return FRAME, time_ns, identifier, bits, _bus(text, name, end, names), size, at
+            at = scan.blanks(text, at + 1)
+        elif text[at] | scan.LOWER == _R:
+            at = scan.blanks(text, at + 1)
+    if text[at] != scan.NEWLINE:
+        return scan.BAD
+    return scan.FRAME, time_ns, identifier, bits, _bus(text, name, end, names), size, at
 
 
 @compiled
@@ -108,9 +89,9 @@ def _bus(text: UInt8s, begin: int, end: int, names: NDArray[np.int64]) -> int:
         while place < end and text[place] == names[at]:
             place += 1
             at += 1
-        if place == end and names[at] == NEWLINE:
+        if place == end and names[at] == scan.NEWLINE:
             return index
-        at = next_line(names, at)
+        at = scan.next_line(names, at)
         index += 1
     return -1
 
@@ -120,11 +101,11 @@ def _identifier(text: UInt8s, at: int) -> tuple[int, int, int]:
     """``123#`` or ``12345678#``: flags, identifier, position after it; -1: no identifier."""
     first = at
     value = 0
-    while DIGIT[text[at]] != NOT_A_DIGIT and at - first < 9:
-        value = value << 4 | int(DIGIT[text[at]])
+    while scan.DIGIT[text[at]] != scan.NOT_A_DIGIT and at - first < 9:
+        value = value << 4 | int(scan.DIGIT[text[at]])
         at += 1
     digits = at - first
-    if text[at] != _HASH or not 0 < digits <= 8 or (digits <= 3 and value > STANDARD_ID):
+    if text[at] != _HASH or not 0 < digits <= 8 or (digits <= 3 and value > scan.STANDARD_ID):
         return 0, 0, -1
     bits = 0
     if value & _ERROR_BIT:
@@ -133,7 +114,7 @@ def _identifier(text: UInt8s, at: int) -> tuple[int, int, int]:
         bits = EXTENDED
     if value & _REMOTE_BIT:
         bits |= REMOTE
-    return bits, value & EXTENDED_ID, at + 1
+    return bits, value & scan.EXTENDED_ID, at + 1
 
 
 @compiled
@@ -144,29 +125,29 @@ def _payload(text: UInt8s, at: int, bits: int, row: UInt8s) -> tuple[int, int, i
     """
     max_bytes = CLASSIC_BYTES
     if text[at] == _HASH:
-        kind = DIGIT[text[at + 1]]
-        if kind == NOT_A_DIGIT:
+        kind = scan.DIGIT[text[at + 1]]
+        if kind == scan.NOT_A_DIGIT:
             return 0, 0, -1
         max_bytes = FD_BYTES
         bits |= FD | BITRATE_SWITCH * (int(kind) & 1) | ERROR_STATE * (int(kind) >> 1 & 1)
         at += 2
-    elif text[at] | LOWER == _R:
+    elif text[at] | scan.LOWER == _R:
         bits |= REMOTE
         at += 1
         size = 0
-        if DIGIT[text[at]] != NOT_A_DIGIT:
-            size = int(DIGIT[text[at]])
+        if scan.DIGIT[text[at]] != scan.NOT_A_DIGIT:
+            size = int(scan.DIGIT[text[at]])
             at += 1
         if size > CLASSIC_BYTES:
             return 0, 0, -1
         return bits, size, _raw_dlc(text, at, size)
     size = 0
-    while DIGIT[text[at]] != NOT_A_DIGIT:
-        low = DIGIT[text[at + 1]]
-        if low == NOT_A_DIGIT or size == max_bytes:
+    while scan.DIGIT[text[at]] != scan.NOT_A_DIGIT:
+        low = scan.DIGIT[text[at + 1]]
+        if low == scan.NOT_A_DIGIT or size == max_bytes:
             return 0, 0, -1
         if size < len(row):
-            row[size] = DIGIT[text[at]] << 4 | low
+            row[size] = scan.DIGIT[text[at]] << 4 | low
         size += 1
         at += 2
     return bits, size, _raw_dlc(text, at, size) if max_bytes == CLASSIC_BYTES else at
@@ -177,12 +158,12 @@ def _raw_dlc(text: UInt8s, at: int, size: int) -> int:
     """The position after ``_9`` to ``_F``, which only a frame of 8 bytes may have; -1: refused."""
     if text[at] != _UNDERSCORE:
         return at
-    dlc = DIGIT[text[at + 1]]
-    return at + 2 if size == CLASSIC_BYTES and CLASSIC_BYTES < dlc != NOT_A_DIGIT else -1
+    dlc = scan.DIGIT[text[at + 1]]
+    return at + 2 if size == CLASSIC_BYTES and CLASSIC_BYTES < dlc != scan.NOT_A_DIGIT else -1
 
 
 class _Reader(TextReader):
-    parse = line_loop(_line)
+    parse = scan.line_loop(_line)
     wanted = "a frame as candump -L writes it"
     has_date = False
     _names: tuple[bytes, ...] = ()

@@ -40,6 +40,7 @@ from can.util import channel2int
 from numpy.typing import NDArray
 
 from can_rig.errors import LogError
+from can_rig.logs import scan
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     CLASSIC_BYTES,
@@ -55,30 +56,7 @@ from can_rig.logs.frames import (
     Frames,
     UInt8s,
 )
-from can_rig.logs.text import (
-    BAD,
-    BAD_LINE,
-    BYTES_OF_DLC,
-    DECIMAL,
-    DIGIT,
-    FRAME,
-    HEXADECIMAL,
-    LOWER,
-    NO_FRAME,
-    SPACE,
-    STANDARD_ID,
-    TAB,
-    Found,
-    TextReader,
-    blanks,
-    fixed_point,
-    line_loop,
-    next_word,
-    number,
-    payload,
-    same_word,
-    word_end,
-)
+from can_rig.logs.text import TextReader
 from firmware_model.compiled import compiled
 
 _NS_DIGITS_OF_MS = 6
@@ -120,26 +98,26 @@ _NS_PER_DAY: Final = 1000 * _US_PER_DAY
 
 
 @compiled
-def _line(text: UInt8s, at: int, columns: NDArray[np.int64], row: UInt8s) -> Found:
-    """See `text.Line`; ``columns`` are the letters of the trace's own columns."""
-    begin = at = blanks(text, at)
+def _line(text: UInt8s, at: int, columns: NDArray[np.int64], row: UInt8s) -> scan.Found:
+    """See `scan.Line`; ``columns`` are the letters of the trace's own columns."""
+    begin = at = scan.blanks(text, at)
     bits = _OTHER  # until the type is known
     time_ns = identifier = size = direction = 0
     bus = 1
     is_dlc = bad = is_unmarked = False
-    if DIGIT[text[at]] >= DECIMAL:
-        return NO_FRAME, 0, 0, 0, 0, 0, begin
+    if scan.DIGIT[text[at]] >= scan.DECIMAL:
+        return scan.NO_FRAME, 0, 0, 0, 0, 0, begin
     for place in range(len(columns)):
         column = columns[place]
         if column == _D:
             break
         if place:
-            at = next_word(text, at)
+            at = scan.next_word(text, at)
         if at < 0:
-            return NO_FRAME if bits == _OTHER else BAD_LINE, 0, 0, 0, 0, 0, begin
-        after = end = word_end(text, at)
+            return scan.NO_FRAME if bits == _OTHER else scan.BAD_LINE, 0, 0, 0, 0, 0, begin
+        after = end = scan.word_end(text, at)
         if column == _O:
-            time_ns, after = fixed_point(text, at, _NS_DIGITS_OF_MS)
+            time_ns, after = scan.fixed_point(text, at, _NS_DIGITS_OF_MS)
         elif column in (_SECONDS_MS, _SECONDS_US):
             time_ns, after = _seconds(text, at, _NS_PER_MS if column == _SECONDS_MS else _NS_PER_US)
         elif column == _UNTYPED:
@@ -147,61 +125,61 @@ def _line(text: UInt8s, at: int, columns: NDArray[np.int64], row: UInt8s) -> Fou
         elif column == _T:
             bits = _type(text, at, end)
         elif column == _B:
-            bus, after = number(text, at, DECIMAL, 255)
+            bus, after = scan.number(text, at, scan.DECIMAL, 255)
         elif column in (_I, _UNMARKED):
-            identifier, after = number(text, at, HEXADECIMAL, _NO_ID)
+            identifier, after = scan.number(text, at, scan.HEXADECIMAL, _NO_ID)
             is_unmarked = column == _UNMARKED
-            is_long = identifier > STANDARD_ID if is_unmarked else end - at > _STANDARD_DIGITS
+            is_long = identifier > scan.STANDARD_ID if is_unmarked else end - at > _STANDARD_DIGITS
             direction |= EXTENDED * is_long
         elif column == _FLAGS:
-            marks, after = number(text, at, HEXADECIMAL, _NO_ID)
+            marks, after = scan.number(text, at, scan.HEXADECIMAL, _NO_ID)
             bits, direction = 0, EXTENDED * (marks & 1)
         elif column == _DIRECTION:
-            direction |= SENT * (text[at] | LOWER == _T_OF_TX)
+            direction |= SENT * (text[at] | scan.LOWER == _T_OF_TX)
         elif column in (_BYTES, _DLC):
-            size, after = number(text, at, DECIMAL, FD_BYTES)
+            size, after = scan.number(text, at, scan.DECIMAL, FD_BYTES)
             is_dlc = column == _DLC
         bad |= after != end
         at = end
     if bits == _OTHER or identifier == _NO_ID:  # in version 1.0: bus state
-        return NO_FRAME, 0, 0, 0, 0, 0, begin
+        return scan.NO_FRAME, 0, 0, 0, 0, 0, begin
     if is_dlc:
-        bad |= size >= len(BYTES_OF_DLC)
-        size = int(BYTES_OF_DLC[min(size, len(BYTES_OF_DLC) - 1)])
+        bad |= size >= len(scan.BYTES_OF_DLC)
+        size = int(scan.BYTES_OF_DLC[min(size, len(scan.BYTES_OF_DLC) - 1)])
     bits |= FD * (is_unmarked and size > CLASSIC_BYTES)
     if not bits & FD:
         bad |= not is_dlc and size > CLASSIC_BYTES
         size = min(size, CLASSIC_BYTES)
     bits |= direction
     if bad:
-        return BAD
-    first = next_word(text, at)
-    if (size and _is_empty(text, at)) or (first >= 0 and same_word(text, first, _RTR)):
+        return scan.BAD
+    first = scan.next_word(text, at)
+    if (size and _is_empty(text, at)) or (first >= 0 and scan.same_word(text, first, _RTR)):
         bits |= REMOTE
     if not bits & REMOTE:
-        at = payload(text, at, HEXADECIMAL, size, row)
-    return FRAME if at >= 0 else BAD_LINE, time_ns, identifier, bits, bus, size, at
+        at = scan.payload(text, at, scan.HEXADECIMAL, size, row)
+    return scan.FRAME if at >= 0 else scan.BAD_LINE, time_ns, identifier, bits, bus, size, at
 
 
 @compiled
 def _seconds(text: UInt8s, at: int, unit: int) -> tuple[int, int]:
     """``seconds,parts`` in ns and the position after it; the fraction may lack leading zeros."""
-    seconds, at = number(text, at, DECIMAL, _MOST_SECONDS)
+    seconds, at = scan.number(text, at, scan.DECIMAL, _MOST_SECONDS)
     if at < 0 or text[at] != _COMMA:
         return 0, -1
-    parts, at = number(text, at + 1, DECIMAL, NS_PER_S // unit - 1)
+    parts, at = scan.number(text, at + 1, scan.DECIMAL, NS_PER_S // unit - 1)
     return seconds * NS_PER_S + parts * unit, at
 
 
 @compiled
 def _is_empty(text: UInt8s, at: int) -> bool:
     """Whether two tabs enclose only spaces."""
-    if text[at] != TAB:
+    if text[at] != scan.TAB:
         return False
     at += 1
-    while text[at] == SPACE:
+    while text[at] == scan.SPACE:
         at += 1
-    return bool(text[at] == TAB)
+    return bool(text[at] == scan.TAB)
 
 
 @compiled
@@ -218,7 +196,7 @@ def _type(text: UInt8s, at: int, end: int) -> int:
 class _Reader(TextReader):
     """Lines with columns named by letters; CARBUS Analyzer's have no date."""
 
-    parse = line_loop(_line)
+    parse = scan.line_loop(_line)
     first_bus = 1
     first_frame = re.compile(rb"[ \t]*\d+(\)?[ \t]|,\d+\t)")
 

@@ -21,6 +21,7 @@ from can.util import channel2int
 from numpy.typing import NDArray
 
 from can_rig.errors import LogError
+from can_rig.logs import scan
 from can_rig.logs.frames import (
     CLASSIC_BYTES,
     ERROR,
@@ -33,25 +34,7 @@ from can_rig.logs.frames import (
     Frames,
     UInt8s,
 )
-from can_rig.logs.text import (
-    BAD,
-    DECIMAL,
-    EXTENDED_ID,
-    FRAME,
-    HEXADECIMAL,
-    LOWER,
-    NEWLINE,
-    NO_FRAME,
-    STANDARD_ID,
-    Found,
-    TextReader,
-    blanks,
-    fixed_point,
-    line_loop,
-    number,
-    same_word,
-    shown,
-)
+from can_rig.logs.text import TextReader, shown
 from firmware_model.compiled import compiled
 
 _NS_DIGITS_OF_US = 3
@@ -63,39 +46,39 @@ _HEADER: Final = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
 
 
 @compiled
-def _line(text: UInt8s, at: int, has_direction: NDArray[np.int64], row: UInt8s) -> Found:
-    """See `text.Line`; ``has_direction`` has a value if the lines have the cell Dir."""
-    at = blanks(text, at)
-    if text[at] == NEWLINE:
-        return NO_FRAME, 0, 0, 0, 0, 0, at
-    time_ns, at = fixed_point(text, at, _NS_DIGITS_OF_US)
-    identifier, at = number(text, _next_cell(text, at), HEXADECIMAL, EXTENDED_ID)
+def _line(text: UInt8s, at: int, has_direction: NDArray[np.int64], row: UInt8s) -> scan.Found:
+    """See `scan.Line`; ``has_direction`` has a value if the lines have the cell Dir."""
+    at = scan.blanks(text, at)
+    if text[at] == scan.NEWLINE:
+        return scan.NO_FRAME, 0, 0, 0, 0, 0, at
+    time_ns, at = scan.fixed_point(text, at, _NS_DIGITS_OF_US)
+    identifier, at = scan.number(text, _next_cell(text, at), scan.HEXADECIMAL, scan.EXTENDED_ID)
     at = _next_cell(text, at)
     if at < 0:
-        return BAD
-    bits = EXTENDED * (identifier > STANDARD_ID)
-    if same_word(text, at, _TRUE):
+        return scan.BAD
+    bits = EXTENDED * (identifier > scan.STANDARD_ID)
+    if scan.same_word(text, at, _TRUE):
         bits = EXTENDED
         at += len(_TRUE)
-    elif same_word(text, at, _FALSE):
+    elif scan.same_word(text, at, _FALSE):
         at += len(_FALSE)
     else:
-        return BAD
+        return scan.BAD
     if len(has_direction):
         at = _next_cell(text, at)
-        if at < 0 or text[at] | LOWER not in (_R, _T):
-            return BAD
-        bits |= SENT * (text[at] | LOWER == _T)
+        if at < 0 or text[at] | scan.LOWER not in (_R, _T):
+            return scan.BAD
+        bits |= SENT * (text[at] | scan.LOWER == _T)
         at += 1 + (text[at + 1] != _COMMA)  # Rx or R
-    bus, at = number(text, _next_cell(text, at), DECIMAL, 255)
-    size, at = number(text, _next_cell(text, at), DECIMAL, FD_BYTES)
+    bus, at = scan.number(text, _next_cell(text, at), scan.DECIMAL, 255)
+    size, at = scan.number(text, _next_cell(text, at), scan.DECIMAL, FD_BYTES)
     for byte in range(size):
-        value, at = number(text, _next_cell(text, at), HEXADECIMAL, 255)
+        value, at = scan.number(text, _next_cell(text, at), scan.HEXADECIMAL, 255)
         if byte < len(row):
             row[byte] = value
-    if at < 0 or (_next_cell(text, at) < 0 and text[blanks(text, at)] != NEWLINE):
-        return BAD
-    return FRAME, time_ns, identifier, bits | FD * (size > CLASSIC_BYTES), bus, size, at
+    if at < 0 or (_next_cell(text, at) < 0 and text[scan.blanks(text, at)] != scan.NEWLINE):
+        return scan.BAD
+    return scan.FRAME, time_ns, identifier, bits | FD * (size > CLASSIC_BYTES), bus, size, at
 
 
 @compiled
@@ -103,12 +86,12 @@ def _next_cell(text: UInt8s, at: int) -> int:
     """Where the cell after the comma at ``at`` begins, blanks aside; -1: no comma."""
     if at < 0:
         return -1
-    at = blanks(text, at)
-    return blanks(text, at + 1) if text[at] == _COMMA else -1
+    at = scan.blanks(text, at)
+    return scan.blanks(text, at + 1) if text[at] == _COMMA else -1
 
 
 class _Reader(TextReader):
-    parse = line_loop(_line)
+    parse = scan.line_loop(_line)
     first_frame = re.compile(rb"\s*\d")
     has_date = False
 

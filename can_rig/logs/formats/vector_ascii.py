@@ -25,6 +25,7 @@ from can.io import ASCReader, ASCWriter
 from numpy.typing import NDArray
 
 from can_rig.errors import LogError
+from can_rig.logs import scan
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     CLASSIC_BYTES,
@@ -41,30 +42,7 @@ from can_rig.logs.frames import (
     Log,
     UInt8s,
 )
-from can_rig.logs.text import (
-    BAD,
-    BAD_LINE,
-    BYTES_OF_DLC,
-    DECIMAL,
-    DIGIT,
-    EXTENDED_ID,
-    FRAME,
-    HEXADECIMAL,
-    LOWER,
-    NO_FRAME,
-    SPACE,
-    STANDARD_ID,
-    Found,
-    TextReader,
-    blanks,
-    fixed_point,
-    line_loop,
-    next_word,
-    number,
-    payload,
-    same_word,
-    word_end,
-)
+from can_rig.logs.text import TextReader
 from firmware_model.compiled import compiled
 
 _NS_DIGITS = 9
@@ -83,126 +61,127 @@ _END: Final = re.compile(rb"\s*end\s+triggerblock\s*", re.I)
 
 
 @compiled
-def _line(text: UInt8s, at: int, bases: NDArray[np.int64], row: UInt8s) -> Found:
-    """See `text.Line`; ``bases`` has the base of identifiers, DLCs and bytes."""
+def _line(text: UInt8s, at: int, bases: NDArray[np.int64], row: UInt8s) -> scan.Found:
+    """See `scan.Line`; ``bases`` has the base of identifiers, DLCs and bytes."""
     base = int(bases[0])
-    begin = at = blanks(text, at)
-    time_ns, at = fixed_point(text, at, _NS_DIGITS)
-    at = next_word(text, at)
+    begin = at = scan.blanks(text, at)
+    time_ns, at = scan.fixed_point(text, at, _NS_DIGITS)
+    at = scan.next_word(text, at)
     if at < 0:
-        return NO_FRAME, 0, 0, 0, 0, 0, begin
-    if same_word(text, at, _CANFD):
+        return scan.NO_FRAME, 0, 0, 0, 0, 0, begin
+    if scan.same_word(text, at, _CANFD):
         return _fd_frame(text, at + len(_CANFD), base, time_ns, row)
-    end = word_end(text, at)
-    bus, after = number(text, at, DECIMAL, 256)
-    name = next_word(text, end)
-    if name < 0 or DIGIT[text[at]] >= DECIMAL or (after >= 0 and after != end):
-        return NO_FRAME, 0, 0, 0, 0, 0, begin
+    end = scan.word_end(text, at)
+    bus, after = scan.number(text, at, scan.DECIMAL, 256)
+    name = scan.next_word(text, end)
+    if name < 0 or scan.DIGIT[text[at]] >= scan.DECIMAL or (after >= 0 and after != end):
+        return scan.NO_FRAME, 0, 0, 0, 0, 0, begin
     fits = after == end and bus > 0
-    if same_word(text, name, _ERROR_FRAME):
-        return FRAME if fits else BAD_LINE, time_ns, 0, ERROR, bus - 1, 0, name
-    at = next_word(text, word_end(text, name))
+    if scan.same_word(text, name, _ERROR_FRAME):
+        return scan.FRAME if fits else scan.BAD_LINE, time_ns, 0, ERROR, bus - 1, 0, name
+    at = scan.next_word(text, scan.word_end(text, name))
     direction = _direction(text, at)
     if direction < 0:
-        return NO_FRAME, 0, 0, 0, 0, 0, begin
+        return scan.NO_FRAME, 0, 0, 0, 0, 0, begin
     identifier, bits, end = _identifier(text, name, base)
-    at = next_word(text, at + 2)
+    at = scan.next_word(text, at + 2)
     if not fits or end < 0 or at < 0:
-        return BAD
+        return scan.BAD
     bits |= direction
-    kind = text[at] | LOWER
-    at = next_word(text, word_end(text, at))
+    kind = text[at] | scan.LOWER
+    at = scan.next_word(text, scan.word_end(text, at))
     if kind == _REMOTE:
-        size = number(text, at, base, _MOST)[0] if at >= 0 else 0
-        return FRAME, time_ns, identifier, bits | REMOTE, bus - 1, min(size, CLASSIC_BYTES), end
-    size, at = number(text, at, base, len(BYTES_OF_DLC) - 1)
+        size = scan.number(text, at, base, _MOST)[0] if at >= 0 else 0
+        size = min(size, CLASSIC_BYTES)
+        return scan.FRAME, time_ns, identifier, bits | REMOTE, bus - 1, size, end
+    size, at = scan.number(text, at, base, len(scan.BYTES_OF_DLC) - 1)
     size = min(size, CLASSIC_BYTES)
     if kind != _DATA or at < 0:
-        return BAD
-    at = payload(text, at, base, size, row)
-    return FRAME if at >= 0 else BAD_LINE, time_ns, identifier, bits, bus - 1, size, at
+        return scan.BAD
+    at = scan.payload(text, at, base, size, row)
+    return scan.FRAME if at >= 0 else scan.BAD_LINE, time_ns, identifier, bits, bus - 1, size, at
 
 
 @compiled
-def _fd_frame(text: UInt8s, at: int, base: int, time_ns: int, row: UInt8s) -> Found:
+def _fd_frame(text: UInt8s, at: int, base: int, time_ns: int, row: UInt8s) -> scan.Found:
     """The words after CANFD."""
-    bus, at = number(text, next_word(text, at), DECIMAL, 256)
-    at = next_word(text, at)
+    bus, at = scan.number(text, scan.next_word(text, at), scan.DECIMAL, 256)
+    at = scan.next_word(text, at)
     direction = _direction(text, at)
-    at = next_word(text, at + 2) if direction >= 0 else -1
+    at = scan.next_word(text, at + 2) if direction >= 0 else -1
     if at < 0 or bus < 1:
-        return BAD
-    if same_word(text, at, _ERROR_FRAME):
-        return FRAME, time_ns, 0, ERROR | FD | direction, bus - 1, 0, at
+        return scan.BAD
+    if scan.same_word(text, at, _ERROR_FRAME):
+        return scan.FRAME, time_ns, 0, ERROR | FD | direction, bus - 1, 0, at
     identifier, bits, end = _identifier(text, at, base)
-    at = next_word(text, end)
-    if at >= 0 and number(text, at, DECIMAL, _MOST)[1] != word_end(text, at):
-        at = next_word(text, word_end(text, at))  # past the symbolic name
-    switch, at = number(text, at, DECIMAL, 1)
-    state, at = number(text, next_word(text, at), DECIMAL, 1)
-    dlc, at = number(text, next_word(text, at), base, len(BYTES_OF_DLC) - 1)
-    size, at = number(text, next_word(text, at), DECIMAL, FD_BYTES)
+    at = scan.next_word(text, end)
+    if at >= 0 and scan.number(text, at, scan.DECIMAL, _MOST)[1] != scan.word_end(text, at):
+        at = scan.next_word(text, scan.word_end(text, at))  # past the symbolic name
+    switch, at = scan.number(text, at, scan.DECIMAL, 1)
+    state, at = scan.number(text, scan.next_word(text, at), scan.DECIMAL, 1)
+    dlc, at = scan.number(text, scan.next_word(text, at), base, len(scan.BYTES_OF_DLC) - 1)
+    size, at = scan.number(text, scan.next_word(text, at), scan.DECIMAL, FD_BYTES)
     if end < 0 or at < 0:
-        return BAD
-    at = payload(text, at, base, size, row)
+        return scan.BAD
+    at = scan.payload(text, at, base, size, row)
     if at < 0:
-        return BAD
+        return scan.BAD
     marks = _flags(text, at)
     bits |= direction
     if (marks >= 0 and marks & _REMOTE_FLAG) or (size == 0 and dlc > 0):
-        asked = min(int(BYTES_OF_DLC[dlc]), CLASSIC_BYTES)
-        return FRAME, time_ns, identifier, bits | REMOTE, bus - 1, asked, at
+        asked = min(int(scan.BYTES_OF_DLC[dlc]), CLASSIC_BYTES)
+        return scan.FRAME, time_ns, identifier, bits | REMOTE, bus - 1, asked, at
     if marks <= 0 or marks & _EDL_FLAG or size > CLASSIC_BYTES or switch or state:
         bits |= FD | BITRATE_SWITCH * switch | ERROR_STATE * state
-    return FRAME, time_ns, identifier, bits, bus - 1, size, at
+    return scan.FRAME, time_ns, identifier, bits, bus - 1, size, at
 
 
 @compiled
 def _flags(text: UInt8s, at: int) -> int:
     """The third number after the payload, hexadecimal; -1: missing."""
     for _ in range(2):
-        at = next_word(text, at)
+        at = scan.next_word(text, at)
         if at < 0:
             return -1
-        at = word_end(text, at)
-    found, end = number(text, next_word(text, at), HEXADECIMAL, _MOST)
-    return found if end >= 0 and text[end] <= SPACE else -1
+        at = scan.word_end(text, at)
+    found, end = scan.number(text, scan.next_word(text, at), scan.HEXADECIMAL, _MOST)
+    return found if end >= 0 and text[end] <= scan.SPACE else -1
 
 
 @compiled
 def _direction(text: UInt8s, at: int) -> int:
     """SENT or 0 for the word Tx or Rx; -1: neither word."""
-    if at < 0 or word_end(text, at) != at + 2:
+    if at < 0 or scan.word_end(text, at) != at + 2:
         return -1
-    if same_word(text, at, _TX):
+    if scan.same_word(text, at, _TX):
         return SENT
-    return 0 if same_word(text, at, _RX) else -1
+    return 0 if scan.same_word(text, at, _RX) else -1
 
 
 @compiled
 def _identifier(text: UInt8s, at: int, base: int) -> tuple[int, int, int]:
     """``123`` or ``12345678x``: identifier, flags, and the position after it; -1: no identifier."""
-    value, end = number(text, at, base, EXTENDED_ID)
+    value, end = scan.number(text, at, base, scan.EXTENDED_ID)
     if end < 0:
         return 0, 0, -1
     bits = 0
-    if text[end] | LOWER == _X:
+    if text[end] | scan.LOWER == _X:
         bits = EXTENDED
         end += 1
-    elif value > STANDARD_ID:
+    elif value > scan.STANDARD_ID:
         return 0, 0, -1
-    return value, bits, end if end == word_end(text, end) else -1
+    return value, bits, end if end == scan.word_end(text, end) else -1
 
 
 class _Reader(TextReader):
-    parse = line_loop(_line)
+    parse = scan.line_loop(_line)
     first_frame = re.compile(
         rb"\s*\d+(\.\d*)?[ \t]+(\d+[ \t]+\S+[ \t]+(Tx|Rx)\b|\d+[ \t]+ErrorFrame|CANFD\s)", re.I
     )
 
     def __init__(self, log: Log) -> None:
         super().__init__(log)
-        self.settings = np.array([HEXADECIMAL])
+        self.settings = np.array([scan.HEXADECIMAL])
 
     def begin(self) -> None:
         """The base of numbers, and the date.
@@ -214,7 +193,8 @@ class _Reader(TextReader):
             found = _BASE.match(line)
             if found is None:
                 continue
-            self.settings = np.array([DECIMAL if found[1].lower() == "dec" else HEXADECIMAL])
+            is_decimal = found[1].lower() == "dec"
+            self.settings = np.array([scan.DECIMAL if is_decimal else scan.HEXADECIMAL])
             if (found[3] or "").lower() == "relative":
                 raise LogError(
                     f"{self.log.path}: each time stamp is relative to the one before it "

@@ -19,6 +19,7 @@ import numpy as np
 from can.io import BLFWriter
 
 from can_rig.errors import LogError
+from can_rig.logs import scan
 from can_rig.logs.compression import InflateError, inflated
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
@@ -39,7 +40,6 @@ from can_rig.logs.frames import (
     empty_columns,
     numbered,
 )
-from can_rig.logs.text import BYTES_OF_DLC
 from firmware_model.compiled import compiled
 
 _SIGNATURE: Final = b"LOGG"
@@ -160,7 +160,7 @@ def _frame(
     size = min(dlc, CLASSIC_BYTES)
     if fd & FD and not remote:  # remote frames are always classic CAN
         bits |= fd
-        size = _u8(BYTES_OF_DLC, min(dlc, len(BYTES_OF_DLC) - 1))
+        size = _u8(scan.BYTES_OF_DLC, min(dlc, len(scan.BYTES_OF_DLC) - 1))
     if not remote:
         _copy(data, begin, min(size, there), row)
     return bits, bus, identifier, size
