@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from can_rig.errors import ScenarioError, one_line
-from can_rig.scenario.loading import Changes, Whole, as_settings, flat
+from can_rig.scenario.loading import Changes, Whole, as_settings, flat, other_values
 from can_rig.scenario.own_class import path_of
 from can_rig.scenario.plant_settings import STATE_SPACE, TRANSFER_FUNCTIONS
 from firmware_model.design.zpk import ZeroPoleGain
@@ -76,7 +76,7 @@ def _plain(key: str, value: Any) -> Any:
     if any(hasattr(value, name) for name in ("A", "num", "poles")):
         return _transfer_function(key, value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return Whole(_without_none(dataclasses.asdict(value)))
+        return Whole(other_values(dataclasses.asdict(value), {}))
     if hasattr(value, "__array__"):
         value = np.asarray(value)
         is_roots = value.dtype.kind == "c" and value.ndim == 1
@@ -86,11 +86,6 @@ def _plain(key: str, value: Any) -> Any:
     if isinstance(value, Mapping):
         return Whole({name: _plain(f"{key}.{name}", each) for name, each in value.items()})
     return [_plain(key, each) for each in value] if isinstance(value, list | tuple) else value
-
-
-def _without_none(table: dict[str, Any]) -> dict[str, Any]:
-    given = ((key, value) for key, value in table.items() if value is not None)
-    return {k: _without_none(v) if isinstance(v, dict) else v for k, v in given}
 
 
 def _transfer_function(key: str, system: Any) -> Whole:

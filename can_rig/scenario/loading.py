@@ -367,7 +367,7 @@ def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
     changed: dict[str, Any] = json.loads(json.dumps(values))
     plant, model = changed.get("plant"), changed.get("model")
     if isinstance(plant, dict) and isinstance(model, dict):
-        changed["model"] = _other_than(plant, model)
+        changed["model"] = other_values(model, plant, unset=True)
     for setting in settings:
         change(changed, setting)
     return draft(str(changed.get("name", "run")), changed)
@@ -382,7 +382,8 @@ def written_by(scenario: Scenario) -> dict[str, Any]:
     """
     values, usual = scenario.as_dict(), Scenario(scenario.name).as_dict()
     del values["name"]
-    values["model"], usual["model"] = _other_than(values["plant"], values["model"]), {}
+    model = other_values(values["model"], values["plant"], unset=True)
+    values["model"], usual["model"] = model, {}
     for name, key, prefix in FILES:
         file = values[name][key]
         if file and file.startswith(prefix):
@@ -396,7 +397,7 @@ def written_by(scenario: Scenario) -> dict[str, Any]:
         usual.pop(key)
         if listed := [keys_of(key, table) for table in tables]:
             values[key] = listed[0] if len(listed) == 1 else listed
-    found = _other_values(values, usual)
+    found = other_values(values, usual)
     if draft(scenario.name, found).scenario != draft(scenario.name, values).scenario:
         raise ScenarioError(f"scenario {scenario.name}: model: has a lag that no file can unset")
     return found
@@ -405,18 +406,20 @@ def written_by(scenario: Scenario) -> dict[str, Any]:
 def keys_of(name: str, table: Mapping[str, Any]) -> dict[str, Any]:
     """The keys of a fault, disturbance or sensor: the first, and all that differ from the usual."""
     first = next(iter(table))
-    return {first: table[first], **_other_values(table, asdict(NEW[name]))}
+    return {first: table[first], **other_values(table, asdict(NEW[name]))}
 
 
-def _other_values(values: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:
-    """The values that differ from the usual ones, table by table; None is never one."""
+def other_values(
+    values: Mapping[str, Any], usual: Mapping[str, Any], unset: bool = False
+) -> dict[str, Any]:
+    """The values that differ from the usual ones, table by table; None is one if ``unset``."""
     other: dict[str, Any] = {}
     for key, value in values.items():
         of = usual.get(key)
         if isinstance(value, Mapping):
-            if inner := _other_values(value, of if isinstance(of, Mapping) else {}):
+            if inner := other_values(value, of if isinstance(of, Mapping) else {}, unset):
                 other[key] = inner
-        elif value is not None and value != of:
+        elif (unset or value is not None) and value != of:
             other[key] = value
     return other
 
@@ -490,16 +493,3 @@ def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, A
             kept = {k: v for k, v in ours.items() if k not in replaced}
             believed[key] = {**kept, **theirs}
     return believed
-
-
-def _other_than(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:
-    """The keys of ``model`` that differ from the plant's, table by table."""
-    other: dict[str, Any] = {}
-    for key, value in model.items():
-        of_plant = plant.get(key)
-        if isinstance(value, Mapping) and isinstance(of_plant, Mapping):
-            if inner := _other_than(of_plant, value):
-                other[key] = inner
-        elif key not in plant or of_plant != value:
-            other[key] = value
-    return other
