@@ -31,15 +31,15 @@ FORMS: Final = {
 """Tables in place of which numbers alone are often given, by their classes."""
 
 
-def refusal(error: ValidationError, settings: type[Any], where: str = "") -> str:
-    """The first finding about ``settings``, the intended class, at the key ``where``.
+def refusal(error: ValidationError, settings: type[Any]) -> str:
+    """The first finding about ``settings``, the intended class.
 
     Findings of a ``__post_init__`` already read ``key = value: must be ...``, with the key within
     its table.
     """
     finding = error.errors()[0]
     location = [str(part) for part in finding["loc"]]
-    key = ".".join([where, *location] if where else location)
+    key = ".".join(location)
     kind, message = finding["type"], finding["msg"].removeprefix("Value error, ")
     if kind == "unexpected_keyword_argument":
         return _unknown(settings, key, location)

@@ -107,26 +107,15 @@ DataId = Annotated[int, Field(ge=1, le=0xFFFF)]
 OPTIONAL: Final = ("mode", "fault_state", "verdict")
 
 
-class _Names:
-    """Names by key: all except those in ``OPTIONAL``, or an empty table."""
-
-    def _given(self) -> dict[str, Any]:
-        return vars(self)
-
-    def __bool__(self) -> bool:
-        """Whether any name is given."""
-        return any(self._given().values())
-
-    def _require_all(self, others: str) -> None:
-        if not self:
-            return
-        for key, name in self._given().items():
-            if not name and key not in OPTIONAL:
-                raise ValueError(f"{key}: must be set beside the other {others}")
+def _require_all(names: Mapping[str, Any], others: str) -> None:
+    """Refuse a missing name, except those in ``OPTIONAL``."""
+    for key, name in names.items():
+        if not name and key not in OPTIONAL:
+            raise ValueError(f"{key}: must be set beside the other {others}")
 
 
 @dataclass(frozen=True, config=STRICT)
-class SignalNames(_Names):
+class SignalNames:
     """The signal of each role, as ``Message.Signal``.
 
     A run needs the first five, whose frames the nodes send. A recorded drive needs ``feedback``, or
@@ -159,7 +148,7 @@ class SignalNames(_Names):
             if name and not (message and dot and signal):
                 raise ValueError(f"{key} = {name!r}: must be Message.Signal")
         if not self.are_of_a_drive:
-            self._require_all("signals, as Message.Signal")
+            _require_all(self._given() if self else {}, "signals, as Message.Signal")
             return
         for key in () if self.feedback else ("yaw_rate", "lateral_acceleration", "speed"):
             if not getattr(self, key):
@@ -192,7 +181,7 @@ class SignalNames(_Names):
 
 
 @dataclass(frozen=True, config=STRICT)
-class TickNames(_Names):
+class TickNames:
     """The tick-counting signal in each role's message: for all roles or no role."""
 
     reference: str = ""
@@ -202,7 +191,11 @@ class TickNames(_Names):
     status: str = ""
 
     def __post_init__(self) -> None:
-        self._require_all("ticks")
+        _require_all(vars(self) if self else {}, "ticks")
+
+    def __bool__(self) -> bool:
+        """Whether any name is given."""
+        return any(vars(self).values())
 
 
 @dataclass(frozen=True, config=STRICT)
