@@ -62,10 +62,10 @@ def command(
     a, b = (read_table(path, scenario).within(window) for path in (run_a, run_b))
     difference = compare(a, b, allowed)
     if out is not None:
-        from can_rig.views.pictures import draw_difference  # noqa: PLC0415 (matplotlib)
+        from can_rig.views.pictures import difference_page  # noqa: PLC0415 (matplotlib)
 
         with atomic(out, force=force) as part:
-            draw_difference(part, a, b, difference)
+            difference_page(a, b, difference).savefig(part, dpi=150)
     if as_json:
         json_line(a=a.label, b=b.label, **difference.as_dict())
     else:

@@ -7,7 +7,7 @@ import click
 
 from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.candidate import NoTuningError, cars_of, refusals_as_dict
-from can_rig.assessment.tuning.report import as_dict, headings, options, rows, why
+from can_rig.assessment.tuning.report import as_dict, headings, options, picture, rows, why
 from can_rig.assessment.tuning.search import Tunings, tune
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import json_line, progress, say, show, table
@@ -83,8 +83,8 @@ def command(
     around the nominal car.  Exit status: 0 found, 1 no stable candidate, or none within
     --noise-limit.
     """
-    picture = out / PICTURE
-    refuse_existing(picture, force, "--out", new_folder=True)
+    drawn = out / PICTURE
+    refuse_existing(drawn, force, "--out", new_folder=True)
     chosen = load(scenario, settings)
     some = cars_of(chosen, box, box_settings)
     try:
@@ -96,23 +96,21 @@ def command(
     except NoTuningError as error:
         _tell_refusals(error, as_json)
         sys.exit(error.exit_status)
-    from can_rig.assessment.tuning.report import draw_tunings  # noqa: PLC0415 (matplotlib)
-
-    with atomic(picture, force=force) as part:
-        draw_tunings(part, found)
+    with atomic(drawn, force=force) as part:
+        picture(found).savefig(part, dpi=200)
     if as_json:
-        json_line(**as_dict(found), picture=str(picture))
+        json_line(**as_dict(found), picture=str(drawn))
     else:
-        _print(found, picture)
+        _print(found, drawn)
 
 
-def _print(found: Tunings, picture: Path) -> None:
+def _print(found: Tunings, drawn: Path) -> None:
     tunings = table("", *headings(found))
     for tuning, cells in rows(found):
         chosen = tuning is found.chosen
         tunings.add_row(">" if chosen else "", *cells, style="bold" if chosen else None)
     show(tunings)
-    say(f"chosen: {why(found)}", options(found.chosen), f"picture  {picture}")
+    say(f"chosen: {why(found)}", options(found.chosen), f"picture  {drawn}")
 
 
 def _tell_refusals(error: NoTuningError, as_json: bool) -> None:

@@ -20,7 +20,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 from can_rig.storage.files import atomic
 from can_rig.views.diff import Difference, compare
-from can_rig.views.pictures import draw_difference
+from can_rig.views.pictures import difference_page
 from can_rig.views.signal_table import SignalTable, table_of
 
 LABELS: Final = ("log", "what if")
@@ -135,7 +135,7 @@ def what_if(
     after = table_of(signals, LABELS[1], same_reference)  # the log's reference, as a file
     difference = compare(before, after, {})
     with atomic(execution.folder / WHAT_IF, force=True) as part:
-        draw_difference(part, before, after, difference)
+        difference_page(before, after, difference).savefig(part, dpi=150)
     return WhatIf(execution, before, difference)
 
 

@@ -142,7 +142,8 @@ def scene(scenario: Scenario, signals: Signals) -> dict[str, Any] | None:
     applied_1, applied_2 = applied_commands(scenario, signals)
     drawn = {"time": signals.time_s, "applied_1": applied_1, "applied_2": applied_2}
     columns: dict[str, FloatArray] = {}
-    found = tracks(scenario, signals, step) if scenario.plant.is_car or _moves(signals) else None
+    moves = scenario.plant.is_car or YAW_RATE in signals.plant
+    found = tracks(scenario, signals, step) if moves else None
     if found is not None:
         drawn["steering"] = signals.plant.get(STEERING, np.zeros(len(signals)))
         for prefix, track in zip(("", "lane_", "other_"), found, strict=True):
@@ -161,10 +162,6 @@ def scene(scenario: Scenario, signals: Signals) -> dict[str, Any] | None:
         "other": "without compensation",
         "columns": columns,
     }
-
-
-def _moves(signals: Signals) -> bool:
-    return YAW_RATE in signals.plant
 
 
 def setting_of(scenario: Scenario, moves: bool | None = None) -> dict[str, Any]:

@@ -130,11 +130,11 @@ def finish(
             signals.write_csv(part, scenario.plant)
         if report:
             # matplotlib, when the nodes are done
-            from can_rig.results.report.page import draw_report  # noqa: PLC0415
+            from can_rig.results.report.page import page  # noqa: PLC0415
             from can_rig.results.report.web_page import web_page  # noqa: PLC0415
 
             with atomic(folder / REPORT, force=True) as part:
-                draw_report(part, scenario, network, signals, outcome.realtime)
+                page(scenario, network, signals, outcome.realtime).savefig(part, dpi=150)
             with atomic(folder / PAGE, force=True) as part:
                 text = web_page(scenario, network, signals, values, outcome.faults, said)
                 part.write_text(text, encoding="utf-8")

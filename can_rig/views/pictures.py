@@ -3,7 +3,6 @@
 import datetime
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -28,11 +27,6 @@ CURVES: Final[tuple[dict[str, Any], ...]] = (
     {"color": style.BLUE, "lw": 1.9},
     {"color": style.ORANGE, "lw": 1.2, "ls": style.DASHED},
 )
-
-
-def draw_difference(path: Path, a: SignalTable, b: SignalTable, difference: Difference) -> None:
-    """Write ``difference_page`` in the format of the suffix."""
-    difference_page(a, b, difference).savefig(path, dpi=150)
 
 
 def difference_page(a: SignalTable, b: SignalTable, difference: Difference) -> Figure:

@@ -5,7 +5,6 @@
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -14,11 +13,6 @@ from can_rig.assessment.tuning.candidate import MAX_DELAY_TICKS, Tuning, refusal
 from can_rig.assessment.tuning.search import EQUAL_PEAKS, Tunings
 from can_rig.drawing import style
 from can_rig.drawing.names import names_of, ticks_text, with_unit
-
-
-def draw_tunings(path: Path, found: Tunings) -> None:
-    """Write ``picture`` as a PNG."""
-    picture(found).savefig(path, dpi=200)
 
 
 def picture(found: Tunings) -> Figure:

@@ -160,19 +160,13 @@ def _assessed(
     scenario: Scenario, candidates: Sequence[Values], some: Sequence[Car], spare_ticks: int
 ) -> Iterator[Tuning | Refusal]:
     """``assess`` for each of ``candidates``, in order, on every processor."""
-    work = partial(_assess, scenario, tuple(some), spare_ticks)
+    work = partial(assess, scenario, cars=tuple(some), spare_ticks=spare_ticks)
     workers = min(os.cpu_count() or 1, len(candidates) // FEWEST_A_WORKER)
     if workers < 2:
         yield from map(work, candidates)
         return
     with ProcessPoolExecutor(workers, multiprocessing.get_context("fork")) as pool:
         yield from pool.map(work, candidates, chunksize=FEWEST_A_WORKER)
-
-
-def _assess(
-    scenario: Scenario, some: tuple[Car, ...], spare_ticks: int, values: Values
-) -> Tuning | Refusal:
-    return assess(scenario, values, some, spare_ticks)
 
 
 def _front(

@@ -89,17 +89,6 @@ BEFORE_S, AFTER_S = 0.05, 0.25
 """Time around the begin of the fault that is drawn beside the whole run."""
 
 
-def draw_report(
-    path: Path,
-    scenario: Scenario,
-    network: Network,
-    signals: Signals,
-    realtime: dict[str, Any] | None = None,
-) -> None:
-    """Write ``page`` as a PNG."""
-    page(scenario, network, signals, realtime).savefig(path, dpi=150)
-
-
 def page(
     scenario: Scenario, network: Network, signals: Signals, realtime: dict[str, Any] | None = None
 ) -> Figure:
