@@ -238,19 +238,26 @@ def column_names(plant: PlantSettings, further: Container[str] = ()) -> dict[str
     return {column: column if name in further else name for column, name in names.items()}
 
 
+OF_SIGNALS: Final = {
+    "reference_mps2": (0, "reference", "reference"),
+    "dstar_mps2": (0, "{}", "{}"),
+    "error_mps2": (0, "error", "error"),
+    "torque_nm": (1, "{}", "{}"),
+    "force_difference_n": (2, "{}", "{}"),
+    "fault_estimate_mps2": (0, "fault_estimate", "fault estimate"),
+    TRUE_OUTPUT: (0, "true_{}", "true {}"),
+    APPLIED[0]: (1, "applied_{}", "{} as applied"),
+    APPLIED[1]: (2, "applied_{}", "{} as applied"),
+}
+"""Columns with a signal of the plant: which, the column's stem, and its name in print."""
+
+
 def _columns(stems: Sequence[str], endings: Sequence[str]) -> dict[str, str]:
-    output, *commands = (stem + ending for stem, ending in zip(stems, endings, strict=True))
-    command_1, command_2 = commands
     return {
-        "reference_mps2": f"reference{endings[0]}",
-        "dstar_mps2": output,
-        "error_mps2": f"error{endings[0]}",
-        "torque_nm": command_1,
-        "force_difference_n": command_2,
-        "fault_estimate_mps2": f"fault_estimate{endings[0]}",
-        TRUE_OUTPUT: f"true_{output}",
-        APPLIED[0]: f"applied_{command_1}",
-        APPLIED[1]: f"applied_{command_2}",
+        **{
+            column: stem.format(stems[of]) + endings[of]
+            for column, (of, stem, _) in OF_SIGNALS.items()
+        },
         **{
             USUAL[echo].column: f"{stem}_echo{ending}"
             for echo, stem, ending in zip(ECHOES, stems[1:], endings[1:], strict=True)

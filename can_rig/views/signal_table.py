@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.resolve import load_run
-from can_rig.drawing.names import CAR, Names, column_names, in_words, names_of
+from can_rig.drawing.names import CAR, OF_SIGNALS, Names, column_names, in_words, names_of
 from can_rig.errors import LogError, ScenarioError
-from can_rig.logs.columns import APPLIED, EVIDENCE_OF, ON_THE_BUS, TRUE_OUTPUT, VERDICT
+from can_rig.logs.columns import EVIDENCE_OF, ON_THE_BUS, VERDICT
 from can_rig.logs.compression import open_text, stored
 from can_rig.logs.frames import NS_PER_S, Window
 from can_rig.logs.reading import content_format, read_log
@@ -87,20 +87,9 @@ class SignalTable:
 
 def _columns(names: Names) -> dict[str, tuple[str, str]]:
     """Printed name and unit of each column with a signal of the plant."""
-    output, command_1, command_2 = names
-    applied = {
-        column: (f"{command.name} as applied", command.unit)
-        for column, command in zip(APPLIED, (command_1, command_2), strict=True)
-    }
     return {
-        "reference_mps2": ("reference", output.unit),
-        "dstar_mps2": (output.name, output.unit),
-        "error_mps2": ("error", output.unit),
-        "torque_nm": (command_1.name, command_1.unit),
-        "force_difference_n": (command_2.name, command_2.unit),
-        "fault_estimate_mps2": ("fault estimate", output.unit),
-        TRUE_OUTPUT: (f"true {output.name}", output.unit),
-        **applied,
+        column: (words.format(names[of].name), names[of].unit)
+        for column, (of, _, words) in OF_SIGNALS.items()
     }
 
 
