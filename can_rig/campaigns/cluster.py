@@ -93,11 +93,7 @@ class _Cluster:
                 yield task, rows
 
     def _completed(self, running: Iterable[Any]) -> Any:
-        """A completed future of ``running``.
-
-        Raises:
-            RigError: see ``_require_workers``.
-        """
+        """A completed future of ``running``."""
         from distributed import wait  # noqa: PLC0415 (an extra)
 
         while True:
@@ -123,11 +119,7 @@ class _Cluster:
                 return rows
 
     def _require_workers(self) -> None:
-        """Go on waiting only where somebody may answer.
-
-        Raises:
-            RigError: all workers have gone.
-        """
+        """Go on waiting only where somebody may answer."""
         if not self._client.nthreads():
             raise WorkersLostError(
                 f"--scheduler {self._scheduler}: all workers have gone, and none has come back "

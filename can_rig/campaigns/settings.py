@@ -330,11 +330,7 @@ def campaign_of(name: str, values: dict[str, Any]) -> CampaignSettings:
 
 
 def _alternatives(name: str, choices: dict[str, Any], table: str) -> Any:
-    """The alternatives of a choice, with a single value as a list of one.
-
-    Raises:
-        ScenarioError: a choice named by another choice is missing.
-    """
+    """The alternatives of a choice, with a single value as a list of one."""
     given = choices[table]
     if isinstance(given, str):
         same = choices.get(given)

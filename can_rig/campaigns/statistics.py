@@ -94,10 +94,7 @@ class CrossRow:
     """The runs of one row of a table.
 
     Attributes:
-        name: of the row.
         runs: number of runs; ``hours`` simulated, with so many ``false_alarms``.
-        hours: see ``runs``.
-        false_alarms: see ``runs``.
         counts: number of runs by column.
         rates: for each requirement.
         spreads: for each metric of the table.

@@ -104,11 +104,7 @@ def _cells(row: Compared) -> Sequence[str]:
 
 
 def _cases(groups: str | None, own: Sequence[str]) -> dict[str, dict[str, object]]:
-    """The cases by name.
-
-    Raises:
-        ScenarioError: an unknown group, groups beside own cases, or a case without a name.
-    """
+    """The cases by name."""
     if own and groups is not None:
         raise ScenarioError(f"--cases {groups}: must not stand beside --case")
     cases: dict[str, dict[str, object]] = {}

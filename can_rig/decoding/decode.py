@@ -390,11 +390,7 @@ def _require_names(
     messages: Collection[str] | None,
     signals: Collection[str] | None,
 ) -> None:
-    """Refuse names of messages and signals unknown to every database (prefix, database).
-
-    Raises:
-        DbcError: the first unknown name.
-    """
+    """Refuse names of messages and signals unknown to every database (prefix, database)."""
     known: list[str] = []
     inside: list[str] = []
     for prefix, database in databases:

@@ -240,11 +240,7 @@ def _lines_of(text: str) -> str:
 
 
 def _format_of(path: Path) -> str:
-    """The format of a database by its content, otherwise by its suffix.
-
-    Raises:
-        DbcError: an unreadable file, or a length beyond any frame.
-    """
+    """The format of a database by its content, otherwise by its suffix."""
     try:
         text = path.read_bytes()
     except OSError as error:

@@ -222,11 +222,7 @@ class Changes:
         return replace(frames, channels=numbers)
 
     def _refuse_kinds(self, frames: Frames, rest: Iterable[Frames]) -> None:
-        """Refuse the frames that the format lacks, all of the log counted.
-
-        Raises:
-            LogError: always.
-        """
+        """Refuse the frames that the format lacks, all of the log counted."""
         counts: Counter[int] = Counter()
         for part in (frames, *rest):
             left = part.has(self.keeps.lacks)

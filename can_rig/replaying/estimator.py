@@ -277,11 +277,7 @@ _EVERY: Final = 500
 
 
 def _scenario_of(scenario: Scenario, drive: Drive) -> Scenario:
-    """The scenario of the controller that can follow the drive.
-
-    Raises:
-        ScenarioError: no speed of the drive is one of a design.
-    """
+    """The scenario of the controller that can follow the drive."""
     model = scenario.model
     for role in ("torque", "force_difference"):
         if role in drive.columns:

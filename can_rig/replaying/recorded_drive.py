@@ -45,7 +45,6 @@ class Samples:
     """One signal of a log.
 
     Attributes:
-        role: its role.
         of: the signal, as the scenario has it.
         bus: the bus of its frames.
         unit: the unit of the log's values.
@@ -212,11 +211,7 @@ def _require(
     wanted: Mapping[str, Sequence[LogSignal]],
     each: LogSignal,
 ) -> None:
-    """Refuse a signal that no database of its buses has.
-
-    Raises:
-        DbcError: with the nearest name.
-    """
+    """Refuse a signal that no database of its buses has."""
     some = [databases.get(each.bus, databases[""])] if each.bus else list(databases.values())
     for name in filter(None, (each.signal, each.sign)):
         of, _, signal = name.rpartition(".")
@@ -296,9 +291,6 @@ def _ticks(source: Source, samples: Sequence[Samples]) -> NDArray[np.int64]:
     """The times of the ticks, counted from the start of the recording.
 
     The first tick is that in which every input has had a sample, the last that of the last sample.
-
-    Raises:
-        LogError: too many ticks, or none.
     """
     tick_ns = source.scenario.tick_ns
     inputs = [each for each in samples if each.role != "reference"]

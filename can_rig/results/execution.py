@@ -99,7 +99,6 @@ class Options(RunOptions):
         force: replace an existing run.
         bus: name of the bus; None: ``NO_BUS`` in this process, otherwise a new local bus.
         runner: ``in_process`` or ``two_processes``.
-        progress: shows the progress.
         reference_csv: lines of a reference that replaces the scenario's; stored in the folder as
             ``REFERENCE``.
         report: also draw the reports.

@@ -82,7 +82,6 @@ class Compared:
 
     Attributes:
         controller: its kind.
-        case: the name.
         error_peak_mps2: of |r - y|, y without the sensor's errors.
         error_rms_mps2: likewise.
         error_settled_mps2: the peak of the last 2 s.
