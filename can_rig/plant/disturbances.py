@@ -12,12 +12,12 @@ from typing import Final
 
 import numpy as np
 
+from can_rig.plant.sensor import coloured
 from can_rig.scenario.disturbance_settings import PUSH, DisturbanceSettings
 from can_rig.scenario.driving import WORLD_COLUMNS, SpeedProfile, speed_profile
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.changing_plant import FRONT_FRICTION, REAR_FRICTION, WORLD_ROW
-from firmware_model.compiled import compiled
 from firmware_model.law.structs import FloatArray
 
 FORCE, MOMENT, BANK, KICK = range(4)
@@ -190,15 +190,7 @@ class Turbulence:
         memory = self._memory(np.arange(block * BLOCK, (block + 1) * BLOCK, dtype=np.float64))
         if block == 0:
             memory[0] = 0.0  # a stationary start
-        coloured(drawn, memory, self._last[block - 1] if block else 0.0)
+        last = coloured(drawn, memory, self._last[block - 1] if block else 0.0)
         self._held, self._values = block, drawn
         if block == len(self._last):
-            self._last.append(float(drawn[-1]))
-
-
-@compiled
-def coloured(drawn: FloatArray, memory: FloatArray, last: float) -> None:
-    """Noise of first order from white noise, in place; ``last`` is the value before."""
-    for k in range(len(drawn)):
-        last = memory[k] * last + math.sqrt(1.0 - memory[k] ** 2) * drawn[k]
-        drawn[k] = last
+            self._last.append(last)

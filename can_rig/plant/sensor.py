@@ -52,7 +52,7 @@ class NoiseColumns:
         self._random = np.random.Generator(np.random.PCG64(seed))
         self._rms = rms
         self._memory = math.exp(-tick_s / lag_s) if lag_s > 0.0 else 0.0
-        self._last: FloatArray = np.empty(0)
+        self._last: float | None = None
 
     @classmethod
     def of(cls, scenario: Scenario) -> "NoiseColumns":
@@ -65,19 +65,24 @@ class NoiseColumns:
         if self._rms == 0.0:
             return np.zeros(ticks)
         drawn: FloatArray = self._rms * self._random.standard_normal(ticks)
-        if self._memory > 0.0:
-            behind = np.concatenate([self._last, drawn])
-            colour(behind, self._memory)
-            drawn, self._last = behind[len(self._last) :], behind[-1:].copy()
+        if self._memory > 0.0 and ticks:
+            memory = np.full(ticks, self._memory)
+            if self._last is None:
+                memory[:1] = 0.0  # a stationary start
+            self._last = coloured(drawn, memory, self._last or 0.0)
         return drawn
 
 
 @compiled
-def colour(drawn: FloatArray, memory: float) -> None:
-    """Filter white noise by a first-order lag with pole ``memory``, in place."""
-    fresh = math.sqrt(1.0 - memory**2)
-    for k in range(1, len(drawn)):
-        drawn[k] = memory * drawn[k - 1] + fresh * drawn[k]
+def coloured(drawn: FloatArray, memory: FloatArray, last: float) -> float:
+    """Noise of first order from white noise, in place; ``last`` is the value before.
+
+    Returns the last value.
+    """
+    for k in range(len(drawn)):
+        last = memory[k] * last + math.sqrt(1.0 - memory[k] ** 2) * drawn[k]
+        drawn[k] = last
+    return last
 
 
 class FilteredSamples:
