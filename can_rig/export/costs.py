@@ -10,7 +10,6 @@ import re
 import tempfile
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -36,16 +35,6 @@ NO_LAW: Final = (
     "network.c", "crc.c", "e2e.c", "ecu.c", "frames.c", "self_test.c",
     "self_test_data.c",
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Bytes of the law on a board; the state includes a blended table, if any."""
-
-    code_bytes: int
-    constant_bytes: int
-    state_bytes: int
-    stack_bytes: int
 
 
 def law_of(node: Mapping[str, str]) -> dict[str, str]:
@@ -127,8 +116,8 @@ def instructions_by_file(
     return {name: n / ticks for name, n in found.most_common() if n > 0 and name not in outside}
 
 
-def sizes(files: Mapping[str, str], board: str) -> Cost:
-    """What the law takes in a board's memory.
+def sizes(files: Mapping[str, str], board: str) -> dict[str, int]:
+    """What the law takes in a board's memory; the state includes a blended table, if any.
 
     Args:
         files: the law and its constants, text by file name.
@@ -148,7 +137,10 @@ def sizes(files: Mapping[str, str], board: str) -> Cost:
         stack = _stack(folder, blends="schedule.c" in files)
     found = {unit: sum(map(int, line.split()[:3])) for unit, line in zip(units, said, strict=True)}
     constants, state = found.pop("constants.c"), found.pop(KEPT)
-    return Cost(sum(found.values()), constants, state, stack)
+    code = sum(found.values())
+    return {
+        "code_bytes": code, "constant_bytes": constants, "state_bytes": state, "stack_bytes": stack,
+    }  # fmt: skip
 
 
 def _stack(folder: Path, blends: bool) -> int:

@@ -10,7 +10,6 @@ import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any, Final
 
@@ -67,9 +66,9 @@ def evidence(
     node, network = application(scenario), network_of(scenario)
     boards = BOARDS_OF[scenario.design.precision]
     measured: dict[str, Callable[[], Any]] = {
-        "trials": lambda: asdict(coverage(scenario)),
-        "mutants": lambda: asdict(score(scenario, exported(scenario), on_step)),
-        "memory": lambda: {each: asdict(sizes(law_of(node), each)) for each in boards},
+        "trials": lambda: coverage(scenario),
+        "mutants": lambda: score(scenario, exported(scenario), on_step),
+        "memory": lambda: {each: sizes(law_of(node), each) for each in boards},
         "instructions": lambda: {
             each: _instructions(node, network, each, runs)
             | {"campaigns": _worst_of(node, network, each, campaigns, on_step)}
@@ -196,16 +195,7 @@ def as_page(record: Record) -> str:
             "<h2>Instructions</h2>",
             *_of(record, "instructions", _instructions_tables),
             "<h2>Memory</h2>",
-            *_of(
-                record,
-                "memory",
-                lambda of: [
-                    table(
-                        ("of the law", *next(iter(of.values()))),
-                        ((board, *each.values()) for board, each in of.items()),
-                    )
-                ],
-            ),
+            *_of(record, "memory", lambda of: [_rows_of("of the law", of)]),
             "<h2>C against Python</h2>",
             *_of(record, "trials", _trials),
             "<h2>Mutants of the law</h2>",
@@ -213,19 +203,10 @@ def as_page(record: Record) -> str:
             "<h2>MISRA C:2012: deviations</h2>",
             *_of(record, "misra", _misra_table),
             "<h2>Other findings</h2>",
-            table(
-                ("tool", "findings"),
-                (
-                    (tool, "not installed" if n is None else n)
-                    for tool, n in record["findings"].items()
-                ),
-            ),
+            _of_tools("findings", record["findings"]),
             *_of(record, "eva", lambda alarms: [table(("alarm of Frama-C Eva",), zip(alarms))]),
             "<h2>Tools</h2>",
-            table(
-                ("tool", "version"),
-                ((tool, said or "not installed") for tool, said in record["tools"].items()),
-            ),
+            _of_tools("version", record["tools"]),
         ],
         STYLE,
     )
@@ -237,6 +218,17 @@ def _of(record: Record, part: str, shown: Callable[[Any], list[str]]) -> list[st
         return shown(record[part])
     lacking = ", ".join(tool for tool in NEEDS[part] if record["tools"][tool] is None)
     return [f'<p class="none">Not measured: {lacking} is not installed.</p>']
+
+
+def _of_tools(what: str, said: Record) -> str:
+    rows = ((tool, "not installed" if each is None else each) for tool, each in said.items())
+    return table(("tool", what), rows)
+
+
+def _rows_of(title: str, found: Record) -> str:
+    """A row for each record of ``found``, which have the same names."""
+    first = next(iter(found.values()))
+    return table((title, *first), ((name, *each.values()) for name, each in found.items()))
 
 
 def _claims(record: Record) -> Iterator[tuple[str, str, bool | None]]:
@@ -286,59 +278,65 @@ def _instructions_tables(found: Record) -> list[str]:
             f'<td class="bar"><i style="width:{100 * count / most:.1f}%"></i></td></tr>'
             for part, count in of["mean of each part"].items()
         )
-        spreads = {"the law alone": of["law"], **of["node"]}
         parts += [
             f"<h3>{board}, QEMU's {BOARDS[board].machine}</h3>"
             "<p>Counted in every tick of each run; the law takes the inputs of the scenario.</p>",
-            table(("run", *of["law"]), ((run, *each.values()) for run, each in spreads.items())),
+            _rows_of("run", {"the law alone": of["law"], **of["node"]}),
             *_campaigns(of["campaigns"]),
             f"<table><tr><th>part of a tick</th><th>mean</th><th></th></tr>{bars}</table>",
-            "<details><summary>each file of the law</summary>",
-            table(("file", "mean"), of["mean of each file of the law"].items()),
-            "</details>",
+            _details(
+                "each file of the law",
+                table(("file", "mean"), of["mean of each file of the law"].items()),
+            ),
         ]
     return parts
 
 
+def _details(title: str, *shown: str) -> str:
+    return f"<details><summary>{title}</summary>{''.join(shown)}</details>"
+
+
+def _counts(found: Record) -> str:
+    numbers = ((name.replace("_", " "), n) for name, n in found.items() if isinstance(n, int))
+    return table((), numbers)
+
+
 def _trials(found: Record) -> list[str]:
+    unproven = ((where, Code(what), had) for where, what, had in found["unproven"])
+    missed = html.escape(", ".join(found["missed"]))
     return [
         "<p>Random memory and inputs through the law, compared in all bits of the state; random "
         "frames through the node. A condition is proven where it has decided the outcome of its "
         "decision both ways (masking MC/DC).</p>",
-        table((), ((name.replace("_", " "), n) for name, n in found.items() if isinstance(n, int))),
-        f"<details><summary>{len(found['unproven'])} conditions not proven</summary>",
-        table(
-            ("where", "condition", "what the trials had"),
-            ((where, Code(what), had) for where, what, had in found["unproven"]),
+        _counts(found),
+        _details(
+            f"{len(found['unproven'])} conditions not proven",
+            table(("where", "condition", "what the trials had"), unproven),
         ),
-        "</details>",
-        f"<details><summary>{len(found['missed'])} lines not run</summary><p><code>"
-        f"{html.escape(', '.join(found['missed']))}</code></p></details>",
+        _details(f"{len(found['missed'])} lines not run", f"<p><code>{missed}</code></p>"),
     ]
 
 
 def _campaigns(found: Record) -> list[str]:
     if not found:
         return []
-    first = next(iter(found.values()))
     return [
         "<p>The node in the runs of campaigns; the last columns are of the run with the worst "
         "tick.</p>",
-        table(("campaign", *first), ((name, *each.values()) for name, each in found.items())),
+        _rows_of("campaign", found),
     ]
 
 
 def _mutants(found: Record) -> list[str]:
+    survivors = ((where, change, Code(line)) for where, change, line in found["survivors"])
     return [
         "<p>A mutant is the law with one token of its C changed. A random sample is compiled; "
         "mutants with the same object code, or without any, do not count.</p>",
-        table((), ((name.replace("_", " "), n) for name, n in found.items() if isinstance(n, int))),
-        f"<details><summary>{len(found['survivors'])} mutants not noticed</summary>",
-        table(
-            ("where", "change", "line"),
-            ((where, change, Code(line)) for where, change, line in found["survivors"]),
+        _counts(found),
+        _details(
+            f"{len(found['survivors'])} mutants not noticed",
+            table(("where", "change", "line"), survivors),
         ),
-        "</details>",
     ]
 
 

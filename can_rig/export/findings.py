@@ -10,7 +10,6 @@ import shutil
 import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,29 +36,11 @@ TICKS: Final = 4
 NODES: Final = range(100)
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """Coverage of lines and conditions."""
+def coverage(scenario: Scenario) -> dict[str, Any]:
+    """Coverage of lines and conditions: of the law by random memory, of the node by random frames.
 
-    compared: int
-    """Compared states of the law; ``different`` counts differences from Python."""
-    different: int
-    lines: int
-    lines_run: int
-    decisions: int
-    conditions: int
-    conditions_proven: int
-    """Conditions that have decided the outcome of their decision both ways."""
-    missed: tuple[str, ...]
-    """Lines without coverage, as ``file:line``."""
-    unproven: tuple[tuple[str, str, str], ...]
-    """The other conditions: ``file:line``, condition, and what the trials had of the condition."""
-
-
-def coverage(scenario: Scenario) -> Coverage:
-    """Of a scenario's controller: of the law by random memory, of the node by random frames.
-
-    Where designs are blended by the speed, both have random speeds too.
+    Where designs are blended by the speed, both have random speeds too. A condition is proven that
+    has decided the outcome of its decision both ways.
 
     Raises:
         ExportError: gcc refuses, or a program ends early.
@@ -93,24 +74,24 @@ def coverage(scenario: Scenario) -> Coverage:
             recording.seen((program.parent / "seen").read_bytes())
             for program in (law_program, node_program)
         ]
-    missed = tuple(place for place, n in counts.items() if not n)
-    unproven = tuple(
+    missed = [place for place, n in counts.items() if not n]
+    unproven = [
         each
         for decision, of_trials, of_frames in zip(recording.decisions, *seen, strict=True)
         for each in decision.unproven(of_trials if decision.file in law else of_frames)
-    )
+    ]
     conditions = sum(len(decision.texts) for decision in recording.decisions)
-    return Coverage(
-        compared=compared,
-        different=differing,
-        lines=len(counts),
-        lines_run=len(counts) - len(missed),
-        decisions=len(recording.decisions),
-        conditions=conditions,
-        conditions_proven=conditions - len(unproven),
-        missed=missed,
-        unproven=unproven,
-    )
+    return {
+        "compared": compared,  # states of the law
+        "different": differing,
+        "lines": len(counts),
+        "lines_run": len(counts) - len(missed),
+        "decisions": len(recording.decisions),
+        "conditions": conditions,
+        "conditions_proven": conditions - len(unproven),
+        "missed": missed,  # as ``file:line``
+        "unproven": unproven,  # ``file:line``, condition, and what the trials had of it
+    }
 
 
 def _program(folder: Path, files: Mapping[str, str]) -> Path:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from can_rig.errors import ExportError
 from can_rig.export.compiler import placed, run
@@ -66,23 +66,6 @@ class Mutant:
     at: int
     before: str
     after: str
-
-
-@dataclass(frozen=True)
-class Score:
-    """How many mutants were noticed."""
-
-    possible: int
-    seed: int
-    """Of the sample."""
-    sample: int
-    not_counted: int
-    """Further mutants of the sample, with the object code of the original or without any."""
-    killed: int
-    killed_by_trials: int
-    killed_by_self_test: int
-    survivors: tuple[tuple[str, str, str], ...]
-    """The others: ``file:line``, the change, and the line as it was."""
 
 
 def mutants(file: str, text: str) -> Iterator[Mutant]:
@@ -170,8 +153,10 @@ def score(
     files: Mapping[str, str],
     on_mutant: Callable[[int, int], object] = lambda done, of: None,
     sample: int = SAMPLE,
-) -> Score:
-    """Of a scenario's controller; a sample that takes longer than ``MOST_S`` ends early.
+) -> dict[str, Any]:
+    """How many mutants of a scenario's controller are noticed.
+
+    A sample that takes longer than ``MOST_S`` ends early.
 
     Args:
         scenario: the scenario.
@@ -201,21 +186,22 @@ def score(
                 on_mutant(done + 1, len(drawn))
     tried = [each for each in zip(drawn, judged, strict=True) if each[1] != LATE]
     counted = [(mutant, killers) for mutant, killers in tried if isinstance(killers, tuple)]
-    return Score(
-        possible=len(every),
-        seed=SEED,
-        sample=len(counted),
-        not_counted=len(tried) - len(counted),
-        killed=sum(any(killers) for _, killers in counted),
-        killed_by_trials=sum(by for _, (by, _) in counted),
-        killed_by_self_test=sum(by for _, (_, by) in counted),
-        survivors=tuple(
+    return {
+        "possible": len(every),
+        "seed": SEED,
+        "sample": len(counted),
+        "not_counted": len(tried) - len(counted),  # no object code, or that of the original
+        "killed": sum(any(killers) for _, killers in counted),
+        "killed_by_trials": sum(by for _, (by, _) in counted),
+        "killed_by_self_test": sum(by for _, (_, by) in counted),
+        "survivors": [
             _said(mutant, files[mutant.file]) for mutant, killers in counted if not any(killers)
-        ),
-    )
+        ],
+    }
 
 
 def _said(mutant: Mutant, text: str) -> tuple[str, str, str]:
+    """``file:line``, the change, and the line as it was."""
     line = text.count("\n", 0, mutant.at)
     change = f"{mutant.before} becomes {mutant.after or 'nothing'}"
     return f"{mutant.file}:{line + 1}", change, text.splitlines()[line].strip()

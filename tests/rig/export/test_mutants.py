@@ -82,10 +82,10 @@ def test_the_score_counts_each_mutant_once(monkeypatch):
     steps: list[tuple[int, int]] = []
     found = score(SCENARIO, exported(SCENARIO), lambda *step: steps.append(step), 4)
     assert steps == [(done + 1, 4) for done in range(4)]
-    assert found.sample + found.not_counted == 4
-    assert found.killed + len(found.survivors) == found.sample
-    assert max(found.killed_by_trials, found.killed_by_self_test) <= found.killed
-    assert found.possible > 2000
+    assert found["sample"] + found["not_counted"] == 4
+    assert found["killed"] + len(found["survivors"]) == found["sample"]
+    assert max(found["killed_by_trials"], found["killed_by_self_test"]) <= found["killed"]
+    assert found["possible"] > 2000
     monkeypatch.setattr(of_c, "MOST_S", 0.0)
     none = score(SCENARIO, exported(SCENARIO), sample=4)
-    assert (none.sample, none.not_counted, none.killed, none.survivors) == (0, 0, 0, ())
+    assert (none["sample"], none["not_counted"], none["killed"], none["survivors"]) == (0, 0, 0, [])
