@@ -83,16 +83,10 @@ class Variable(NamedTuple):
 
 
 class Model(NamedTuple):
-    """What becomes an FMU.
+    """What becomes an FMU: ``name`` is a name in C, ``scenario`` gives tick and duration.
 
-    Attributes:
-        name: of the model, a name in C.
-        words: a description.
-        scenario: gives tick and duration.
-        sources: text by file name, apart from those of every FMU.
-        parts: of handwritten files.
-        variables: real inputs, real outputs, whole parameters, whole outputs, others.
-        files: further files, text by name.
+    ``sources`` lack the files of every FMU. The order of ``variables`` is: real inputs, real
+    outputs, whole parameters, whole outputs, others.
     """
 
     name: str
@@ -132,8 +126,7 @@ def write_fmus(model: Model, folder: Path, force: bool) -> list[Path]:
     sources, token = _sources(model)
     library = built(host_compiler(), (*FLAGS, "-fvisibility=hidden"), sources, ".so").read_bytes()
     return [
-        _write(_Description(version, model, token), sources, library, folder, force)
-        for version in model.versions
+        _write(version, model, token, sources, library, folder, force) for version in model.versions
     ]
 
 
@@ -165,9 +158,15 @@ def _sources(model: Model) -> tuple[dict[str, str], str]:
 
 
 def _write(
-    description: _Description, sources: Mapping[str, str], library: bytes, folder: Path, force: bool
+    version: str,
+    model: Model,
+    token: str,
+    sources: Mapping[str, str],
+    library: bytes,
+    folder: Path,
+    force: bool,
 ) -> Path:
-    name, version = description.model.name, description.version
+    name = model.name
     path = folder / f"fmi{version}" / f"{name}.fmu"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -175,10 +174,10 @@ def _write(
         raise ExportError(f"{path.parent}: cannot be made: {error.strerror}") from None
     place = {"2": "linux64", "3": f"{platform.machine()}-linux"}
     contents: dict[str, str | bytes] = {
-        "modelDescription.xml": description.text(sources),
+        "modelDescription.xml": _description(version, model, token, sources),
         **{f"sources/{file}": text for file, text in sorted(sources.items())},
         f"binaries/{place[version]}/{name}.so": library,
-        **description.model.files,
+        **model.files,
     }
     if version == "3":
         contents["sources/buildDescription.xml"] = _build_description(name, sources)
@@ -188,82 +187,66 @@ def _write(
     return path
 
 
-class _Description:
+def _description(version: str, model: Model, token: str, sources: Collection[str]) -> str:
     """``modelDescription.xml`` of one version of FMI."""
+    is_2, tick = version == "2", repr(model.scenario.tick_s)
+    root = Xml.Element(
+        "fmiModelDescription", fmiVersion=f"{version}.0", modelName=model.name,
+        description=model.words, generationTool="can-rig",
+        attrib={"guid" if is_2 else "instantiationToken": token},
+    )  # fmt: skip
+    kind = Xml.SubElement(
+        root, "CoSimulation", modelIdentifier=model.name,
+        canHandleVariableCommunicationStepSize="true",
+    )  # fmt: skip
+    if is_2:
+        _source_files(Xml.SubElement(kind, "SourceFiles"), "File", sources)
+    else:
+        has_events = {"hasEventMode": "true"}
+        kind.attrib |= has_events if model.is_node else {"fixedInternalStepSize": tick}
+    units = Xml.SubElement(root, "UnitDefinitions")
+    for unit in sorted({"s", *(each.unit for each in model.variables)} - {""}):
+        parent = Xml.SubElement(units, "Unit", name=unit)
+        if unit in BASE_UNITS:
+            Xml.SubElement(parent, "BaseUnit", BASE_UNITS[unit])
+    stop = repr(model.scenario.duration_s)
+    Xml.SubElement(root, "DefaultExperiment", startTime="0", stopTime=stop, stepSize=tick)
+    variables, structure = (Xml.SubElement(root, f"Model{of}") for of in ("Variables", "Structure"))
+    _add(variables, is_2, 0, Variable("time", "independent", unit="s"))
+    outputs = []
+    for reference, variable in enumerate(model.variables, 1):
+        _add(variables, is_2, reference, variable)
+        if variable.causality == "output":
+            outputs.append((reference, variable))
+    for of, left_out in (("Output", ""), ("InitialUnknown", "Binary")):
+        if is_2:  # counts from 1, with the time
+            parent = Xml.SubElement(structure, f"{of}s")
+            for reference, _ in outputs:
+                Xml.SubElement(parent, "Unknown", index=str(reference + 1))
+            continue
+        for reference, variable in outputs:
+            if variable.kind != left_out:
+                Xml.SubElement(structure, of, valueReference=str(reference))
+    return as_text(root)
 
-    def __init__(self, version: str, model: Model, token: str) -> None:
-        self.version, self.model, self._token = version, model, token
-        self._is_2 = version == "2"
 
-    def text(self, sources: Collection[str]) -> str:
-        """The XML."""
-        model, tick = self.model, repr(self.model.scenario.tick_s)
-        token = "guid" if self._is_2 else "instantiationToken"
-        root = Xml.Element(
-            "fmiModelDescription", fmiVersion=f"{self.version}.0", modelName=model.name,
-            description=model.words, generationTool="can-rig", attrib={token: self._token},
-        )  # fmt: skip
-        kind = Xml.SubElement(
-            root, "CoSimulation", modelIdentifier=model.name,
-            canHandleVariableCommunicationStepSize="true",
-        )  # fmt: skip
-        if self._is_2:
-            _source_files(Xml.SubElement(kind, "SourceFiles"), "File", sources)
-        else:
-            has_events = {"hasEventMode": "true"}
-            kind.attrib |= has_events if model.is_node else {"fixedInternalStepSize": tick}
-        units = Xml.SubElement(root, "UnitDefinitions")
-        for unit in sorted({"s", *(each.unit for each in model.variables)} - {""}):
-            parent = Xml.SubElement(units, "Unit", name=unit)
-            if unit in BASE_UNITS:
-                Xml.SubElement(parent, "BaseUnit", BASE_UNITS[unit])
-        stop = repr(model.scenario.duration_s)
-        Xml.SubElement(root, "DefaultExperiment", startTime="0", stopTime=stop, stepSize=tick)
-        variables = Xml.SubElement(root, "ModelVariables")
-        time = Variable("time", "independent", unit="s")
-        for reference, variable in enumerate((time, *model.variables)):
-            self._add(variables, reference, variable)
-        self._structure(Xml.SubElement(root, "ModelStructure"))
-        return as_text(root)
-
-    def _add(self, variables: Xml.Element, reference: int, variable: Variable) -> None:
-        name, causality, words, unit, start, kind, most, attributes = variable
-        variability = {"independent": "continuous", "parameter": "fixed"}
-        common = {
-            "name": name, "valueReference": str(reference), "causality": causality,
-            "variability": variability.get(causality, "discrete"),
-        }  # fmt: skip
-        bounds = {} if most is None else {"min": "0", "max": most}
-        typed = {"unit": unit} if unit else {}
-        typed |= bounds | ({} if start is None else {"start": start})
-        common |= {"description": words} if words else {}
-        if self._is_2:
-            scalar = Xml.SubElement(variables, "ScalarVariable", common)
-            Xml.SubElement(scalar, kind, typed)
-        else:
-            found = Xml.SubElement(
-                variables, KINDS_3.get(kind, kind), {**common, **typed, **attributes}
-            )
-            if kind == "Binary" and causality == "input":
-                Xml.SubElement(found, "Start", value="")
-
-    def _structure(self, structure: Xml.Element) -> None:
-        outputs = [
-            reference
-            for reference, each in enumerate(self.model.variables, 1)
-            if each.causality == "output"
-        ]
-        if self._is_2:  # counts from 1, with the time
-            for of in ("Outputs", "InitialUnknowns"):
-                parent = Xml.SubElement(structure, of)
-                for reference in outputs:
-                    Xml.SubElement(parent, "Unknown", index=str(reference + 1))
-            return
-        clocked = {n for n, each in enumerate(self.model.variables, 1) if each.kind == "Binary"}
-        for of, left_out in (("Output", set[int]()), ("InitialUnknown", clocked)):
-            for reference in outputs:
-                if reference not in left_out:
-                    Xml.SubElement(structure, of, valueReference=str(reference))
+def _add(variables: Xml.Element, is_2: bool, reference: int, variable: Variable) -> None:
+    name, causality, words, unit, start, kind, most, attributes = variable
+    variability = {"independent": "continuous", "parameter": "fixed"}
+    common = {
+        "name": name, "valueReference": str(reference), "causality": causality,
+        "variability": variability.get(causality, "discrete"),
+    }  # fmt: skip
+    bounds = {} if most is None else {"min": "0", "max": most}
+    typed = {"unit": unit} if unit else {}
+    typed |= bounds | ({} if start is None else {"start": start})
+    common |= {"description": words} if words else {}
+    if is_2:
+        Xml.SubElement(Xml.SubElement(variables, "ScalarVariable", common), kind, typed)
+        return
+    found = Xml.SubElement(variables, KINDS_3.get(kind, kind), {**common, **typed, **attributes})
+    if kind == "Binary" and causality == "input":
+        Xml.SubElement(found, "Start", value="")
 
 
 def _build_description(name: str, sources: Collection[str]) -> str:
