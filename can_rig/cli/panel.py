@@ -2,7 +2,6 @@
 
 import click
 
-from can_rig.assessment.resolve import load
 from can_rig.cli.options import bus_name, scenario_options
 from can_rig.cli.output import say
 from can_rig.scenario import shipped
@@ -30,9 +29,7 @@ def command(
     The command prints two addresses, each with a token of this start: an address for watching and
     touching the run, and an address for watching only.
     """
-    from can_rig.panel.server import Shown, serve  # noqa: PLC0415 (aiohttp is slow to import)
+    from can_rig.panel.server import serve  # noqa: PLC0415 (aiohttp is slow to import)
 
-    chosen = load(scenario, settings)
     names = [] if bus else list(shipped())
-    sends = allow_control or bus is None
-    serve(Shown(chosen, scenario, settings, names, bus, sends, port), say)
+    serve(scenario, settings, names, bus, allow_control or bus is None, port, say)

@@ -55,12 +55,7 @@ GOODBYE_S: Final = 1.0
 
 
 class Viewer:
-    """One browser.
-
-    Args:
-        socket: its connection.
-        may_touch: whether its commands are obeyed.
-    """
+    """One browser, whose commands are obeyed if it ``may_touch``."""
 
     def __init__(self, socket: web.WebSocketResponse, may_touch: bool) -> None:
         self.socket = socket
@@ -110,10 +105,8 @@ def frames_batch(messages: Sequence[tuple[float, can.Message]], kinds: Kinds) ->
 class Screen:
     """The displayed run and its viewers.
 
-    Args:
-        session: the run; replaced when the user chooses another scenario.
-        scenarios: names of the offered scenarios; empty if the panel did not start the nodes.
-        open_session: makes the session of another scenario.
+    The user can choose one of ``scenarios``, and ``open_session`` makes its session. There is no
+    choice if the panel did not start the nodes.
     """
 
     def __init__(
@@ -292,13 +285,12 @@ def _command(what: str, order: dict[str, Any]) -> operator_frames.Command:
         if place not in (operator_frames.ALL, *operator_frames.places()):
             raise ValueError
         return operator_frames.Command("CLEAR", place=place)
-    if what == "reference":
-        return operator_frames.Command("MOVE_REFERENCE", value=_number(order["value"]))
-    if what == "pace":
-        return operator_frames.Command("PACE", value=_number(order["value"]))
     if what == "pause":
         return operator_frames.Command("PAUSE")
-    return operator_frames.Command("STEP", value=_number(order.get("ticks", 1)))
+    if what == "step":
+        return operator_frames.Command("STEP", value=_number(order.get("ticks", 1)))
+    action = "MOVE_REFERENCE" if what == "reference" else "PACE"
+    return operator_frames.Command(action, value=_number(order["value"]))
 
 
 def _number(value: object) -> float | None:

@@ -23,7 +23,6 @@ from can_rig.assessment.resolve import load
 from can_rig.errors import BusError, RigError, one_line
 from can_rig.panel.screen import Screen, Viewer
 from can_rig.panel.session import Session, new_bus
-from can_rig.scenario.settings import Scenario
 
 TOKEN_BYTES: Final = 24
 NAMES: Final = ("127.0.0.1", "localhost")
@@ -194,54 +193,48 @@ def _static(package: str, name: str) -> Callable[[web.Request], Awaitable[web.St
     return answer
 
 
-@dataclass(frozen=True)
-class Shown:
-    """What is asked for.
+def serve(
+    name: str,
+    settings: tuple[str, ...],
+    scenarios: list[str],
+    bus: str | None,
+    sends: bool,
+    port: int | None,
+    say: Callable[..., None],
+) -> None:
+    """Serve until Ctrl-C or SIGTERM; either signal also ends a run that the panel started.
 
-    Attributes:
-        scenario: what runs, or runs already.
-        name: what it is called: a shipped one or a file.
-        settings: the ``KEY=VALUE`` changes that made it.
+    Args:
+        name: the scenario that runs, or runs already: a shipped one or a file.
+        settings: its ``KEY=VALUE`` changes.
         scenarios: names to choose from.
         bus: of nodes that run already; None: the panel starts them.
         sends: whether commands may be sent.
         port: of 127.0.0.1; 0: a free port; None: ``USUAL_PORT`` or else a free port.
-    """
-
-    scenario: Scenario
-    name: str
-    settings: tuple[str, ...]
-    scenarios: list[str]
-    bus: str | None
-    sends: bool
-    port: int | None = None
-
-
-def serve(shown: Shown, say: Callable[..., None]) -> None:
-    """Serve until Ctrl-C or SIGTERM; either signal also ends a run that the panel started.
+        say: prints the addresses.
 
     Raises:
+        RigError: the scenario cannot be loaded.
         BusError: the port or the bus cannot be opened.
     """
+    scenario = load(name, settings)
     try:
-        listening = _listening(USUAL_PORT if shown.port is None else shown.port)
+        listening = _listening(USUAL_PORT if port is None else port)
     except BusError:
-        if shown.port is not None:
+        if port is not None:
             raise
         listening = _listening(0)
     access = Access(listening.getsockname()[1])
-    bus = shown.bus or new_bus()
+    shown = bus or new_bus()
 
     def opened(name: str) -> Session:
-        return Session(bus, load(name, shown.settings), name, shown.settings)
+        return Session(shown, load(name, settings), name, settings)
 
-    starts = shown.bus is None
-    session = Session(bus, shown.scenario, shown.name, shown.settings, shown.sends, starts)
-    names = shown.scenarios
-    if names and shown.name not in names:
-        names = [shown.name, *names]
-    server = Server(Screen(session, names, opened), access)
-    if shown.sends:
+    session = Session(shown, scenario, name, settings, sends, starts=bus is None)
+    if scenarios and name not in scenarios:
+        scenarios = [name, *scenarios]
+    server = Server(Screen(session, scenarios, opened), access)
+    if sends:
         say(f"to watch and touch  {access.url(access.control)}")
     say(f"to watch only       {access.url(access.view)}")
 
