@@ -21,10 +21,8 @@ class OurLaw:
         self.firmware = Firmware(of.table, law, of.schedule)
         self.firmware.step(math.nan, math.nan)  # compiled before the first tick
         self.firmware.begin()
-
-    def reset(self, reference: float) -> None:
-        """See ``Controller``."""
-        self.firmware.reset(reference)
+        self.reset, self.act = self.firmware.reset, self.firmware.act
+        self.saved, self.restore = self.firmware.saved, self.firmware.restore
 
     def step(self, inputs: Inputs) -> Answer:
         """See ``Controller``."""
@@ -34,10 +32,6 @@ class OurLaw:
         for sample in samples_in(heard):
             self.firmware.hear(*sample)
         return Answer(*self.firmware.step(reference, measurement))
-
-    def act(self, command_1: float, command_2: float) -> None:
-        """See ``NodeController``."""
-        self.firmware.act(command_1, command_2)
 
     @property
     def commands(self) -> tuple[float, float]:
@@ -49,14 +43,6 @@ class OurLaw:
         known = self.firmware.saved()
         self.firmware.begin(at_rest)
         self.firmware.restore(known)
-
-    def saved(self) -> bytes:
-        """See ``NodeController``."""
-        return self.firmware.saved()
-
-    def restore(self, saved: bytes) -> bool:
-        """See ``NodeController``."""
-        return self.firmware.restore(saved)
 
 
 def in_node(law: Law, without_frames: bool = False) -> InNode:
