@@ -7,7 +7,7 @@ own solver or by CVODE, and removed together with its ``Instance``.
 import math
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import chdir, contextmanager, suppress
 from multiprocessing.util import Finalize
 from pathlib import Path
@@ -232,18 +232,17 @@ class _Solver(CVodeSolver):  # type: ignore[misc]  # FMPy has no types
         self._failure = ""  # the text only: an exception's traceback would keep the FMU alive
         super().__init__(**arguments)
 
-    def f(self, t: float, y: Any, ydot: Any, user_data: Any) -> int:
+    def f(self, *arguments: Any) -> int:
         """The derivatives; see ``CVodeSolver``."""
-        try:
-            return int(super().f(t, y, ydot, user_data))
-        except Exception as error:
-            self._failure = one_line(error)
-            return -1
+        return self._kept(super().f, *arguments)
 
-    def g(self, t: float, y: Any, gout: Any, user_data: Any) -> int:
+    def g(self, *arguments: Any) -> int:
         """The event indicators; see ``CVodeSolver``."""
+        return self._kept(super().g, *arguments)
+
+    def _kept(self, function: Callable[..., Any], *arguments: Any) -> int:
         try:
-            return int(super().g(t, y, gout, user_data))
+            return int(function(*arguments))
         except Exception as error:
             self._failure = one_line(error)
             return -1
