@@ -23,38 +23,25 @@ from can_rig.errors import SilentNodeError, one_line
 NS_PER_S = 1_000_000_000
 
 
-class Clock(Protocol):
-    """What time it is, and waiting."""
-
-    def now_ns(self) -> int:
-        """Nanoseconds since some moment; never goes back."""
-
-    def sleep_until(self, at_ns: int) -> None:
-        """Return at ``at_ns`` or later."""
-
-    def stamp_s(self) -> float:
-        """Time in seconds on the clock of the buses' time stamps; the date may jump at any time."""
-
-
-class SystemClock:
+class Clock:
     """CLOCK_MONOTONIC, which no setting of the date moves, and the date for time stamps."""
 
     def now_ns(self) -> int:
-        """Nanoseconds since the machine started."""
+        """Nanoseconds since the machine started; never goes back."""
         return time.monotonic_ns()
 
     def sleep_until(self, at_ns: int) -> None:
-        """Sleep until ``at_ns``; a signal handler does not shorten the sleep."""
+        """Return at ``at_ns`` or later; a signal handler does not shorten the sleep."""
         left_ns = at_ns - time.monotonic_ns()
         if left_ns > 0:
             time.sleep(left_ns / NS_PER_S)
 
     def stamp_s(self) -> float:
-        """Seconds since 1970."""
+        """Seconds on the clock of the buses' time stamps; the date may jump at any time."""
         return time.time()
 
 
-SYSTEM_CLOCK = SystemClock()
+SYSTEM_CLOCK = Clock()
 
 
 PROGRESS_EVERY_S: Final = 0.1
@@ -143,12 +130,8 @@ class PersistentSender:
     """Sends on ``bus``, and retries a refused frame for a bounded time.
 
     A full transmit queue drains as soon as the controller has sent; an interface that is down may
-    recover. Both ends wait, in virtual time, so no frame is lost during retries.
-
-    Args:
-        bus: the sending bus.
-        within_s: the longest time of refusals before an error.
-        clock: the time.
+    recover. Both ends wait, in virtual time, so no frame is lost during retries. After ``within_s``
+    of refusals the node ends.
     """
 
     def __init__(self, bus: NodeBus, within_s: float, clock: Clock) -> None:
@@ -298,15 +281,9 @@ class StopRequest:
 
 
 class Watchdog:
-    """Receives from ``bus`` and gives up on a silent node.
+    """Receives from ``bus`` and gives up when the node ``other`` is silent.
 
-    Args:
-        bus: the receiving bus.
-        other: name of the node on the other end.
-        timeouts: longest permitted silence of the other node.
-        stop: read during waits.
-        while_alone: called now and then until the other node's first frame.
-        clock: the time.
+    ``while_alone`` is called now and then until the other node's first frame.
     """
 
     def __init__(

@@ -14,7 +14,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import DbcError, ScenarioError, SilentNodeError
-from can_rig.nodes.bus_access import StopRequest, SystemClock
+from can_rig.nodes.bus_access import SYSTEM_CLOCK, StopRequest
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
 from can_rig.nodes.ticks import drive
 from can_rig.plant.frameless import frameless
@@ -172,7 +172,7 @@ def test_where_frames_have_no_tick_silence_is_the_end(tick):
     network = network_of(scenario)
 
     def node() -> Any:
-        return RealTimeControllerNode(scenario, network, NoBus(), SystemClock(), PYTHON)  # type: ignore[arg-type]
+        return RealTimeControllerNode(scenario, network, NoBus(), SYSTEM_CLOCK, PYTHON)  # type: ignore[arg-type]
 
     with pytest.raises(SilentNodeError):
         driven(node(), Heard([]))
