@@ -107,14 +107,8 @@ def _node_main(
 ) -> None:
     """Run the forked process in a new session, so that Ctrl-C reaches the parent only.
 
-    Args:
-        name: shown as the name of the process.
-        node: runs the node.
-        connection: to the parent.
-        readers: the parent's pipe ends; a child that kept the ends open would miss the parent's
-            death.
-        signals: the blocked signals from now on.
-        parent: its process.
+    ``readers`` are the parent's pipe ends: a child that kept the ends open would miss the parent's
+    death. ``signals`` are the blocked ones from now on.
     """
     os.setsid()
     with suppress(OSError):  # Linux alone has it
@@ -148,17 +142,8 @@ def run_processes(
 ) -> NodeSummary:
     """Run the plant and the controller as two processes, in lockstep on one core where possible.
 
-    Args:
-        scenario: the run.
-        bus: name of a bus that two processes can share.
-        log: path of the plant node's log.
-        stop: ends the run after a tick.
-        options: in real time with a separate core for each node if possible; whether the bus is
-            shared follows from its name.
-        progress: entered after both forks.
-
-    Returns:
-        The summary; a stopped run has fewer ticks than the scenario.
+    In real time each node has a core of its own if possible. ``progress`` is entered after both
+    forks. A stopped run has fewer ticks than the scenario.
 
     Raises:
         SilentNodeError: a node died or stayed silent for too long; the message names the node.
@@ -166,38 +151,31 @@ def run_processes(
     """
     processes: list[NodeProcess] = []
     options = replace(options, shared=is_shared(bus))
+
+    def controller(stop: StopRequest, report: Report) -> NodeSummary:
+        ready, on_tick = partial(report, ready=True), Throttled(lambda tick: report(ticks=tick))
+        return run_controller(scenario, bus, stop, ready, on_tick, options)
+
+    def plant(stop: StopRequest, report: Report) -> NodeSummary:
+        on_tick = Throttled(lambda tick: report(ticks=tick))
+        return run_plant(scenario, bus, log, stop, on_tick, options)
+
     if options.bursts:
         warm_up()
     try:
         # Forked processes search no garbage among the objects of this process either.
         with nullcontext() if options.real_time else one_core(), without_garbage_pauses():
-            controller_node = partial(_controller, scenario, bus, options)
-            first = NodeProcess.fork("controller", controller_node, processes)
+            first = NodeProcess.fork("controller", controller, processes)
             processes.append(first)  # first: a waiting plant repeats its offer on the bus
             _watch(processes, stop, until=lambda: "ready" in first.said)
             if "ready" in first.said and not stop.wanted:
-                plant_node = partial(_plant, scenario, bus, log, options)
-                processes.append(NodeProcess.fork("plant", plant_node, processes))
+                processes.append(NodeProcess.fork("plant", plant, processes))
         with progress() as on_tick:
             _watch(processes, stop, on_tick=on_tick)
         return _conclude(processes)
     finally:
         for process in processes:
             process.kill()
-
-
-def _controller(
-    scenario: Scenario, bus: str, options: RunOptions, stop: StopRequest, report: Report
-) -> NodeSummary:
-    on_tick = Throttled(lambda tick: report(ticks=tick))
-    return run_controller(scenario, bus, stop, partial(report, ready=True), on_tick, options)
-
-
-def _plant(
-    scenario: Scenario, bus: str, log: Path, options: RunOptions, stop: StopRequest, report: Report
-) -> NodeSummary:
-    on_tick = Throttled(lambda tick: report(ticks=tick))
-    return run_plant(scenario, bus, log, stop, on_tick, options)
 
 
 def _watch(
