@@ -289,8 +289,8 @@ def _command(what: str, order: dict[str, Any]) -> operator_frames.Command:
         return operator_frames.Command("PAUSE")
     if what == "step":
         return operator_frames.Command("STEP", value=_number(order.get("ticks", 1)))
-    action = "MOVE_REFERENCE" if what == "reference" else "PACE"
-    return operator_frames.Command(action, value=_number(order["value"]))
+    value = _number(order["value"])
+    return operator_frames.Command("MOVE_REFERENCE" if what == "reference" else "PACE", value=value)
 
 
 def _number(value: object) -> float | None:
