@@ -41,15 +41,16 @@ static bool load(void *memory, uint32_t size)
 
 static bool obey(uint8_t order)
 {
+    const uint32_t n = order == 'E' ? 3 : order == 'S' ? 2 : order == 'Z' || order == 'V' ? 1 : 0;
     real inputs[3];
 
+    if (!load(inputs, n * sizeof inputs[0])) {
+        return false;
+    }
     switch (order) {
     case 'M':
         return load(&table, sizeof table) && load(&state, sizeof state);
     case 'E':
-        if (!load(inputs, sizeof inputs)) {
-            return false;
-        }
         further_sensors_hear(&table, &state, inputs[0], inputs[1], inputs[2]);
         return true;
     case 'I':
@@ -57,24 +58,15 @@ static bool obey(uint8_t order)
         controller_start_up(&table, &state);
         break;
     case 'Z':
-        if (!load(inputs, sizeof inputs[0])) {
-            return false;
-        }
         controller_reset(&table, &state, inputs[0]);
         break;
     case 'S':
-        if (!load(inputs, 2 * sizeof inputs[0])) {
-            return false;
-        }
         controller_step(&table, &state, inputs[0], inputs[1]);
         break;
 //: if blends
     case 'B':
         return load(&schedule, sizeof schedule) && load(&blending, sizeof blending);
     case 'V':
-        if (!load(inputs, sizeof inputs[0])) {
-            return false;
-        }
         schedule_change_speed(&schedule, &blending, &table, &state, inputs[0]);
         break;
 //: end
