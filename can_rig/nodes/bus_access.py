@@ -244,8 +244,7 @@ DEFAULT_TIMEOUTS: Final = Timeouts()
 class StopRequest:
     """Set by a signal handler, read between ticks and while waiting.
 
-    Args:
-        parent: the process whose end is a request too: a killed parent sends no signal.
+    The end of the process ``parent`` is a request too: a killed parent sends no signal.
     """
 
     def __init__(self, parent: int | None = None) -> None:

@@ -20,7 +20,7 @@ from can_rig.frames.codec import MessageCodec, Receiver, Record, Transmitter, ti
 from can_rig.frames.network import Network
 from can_rig.nodes.bursts import Bursts
 from can_rig.nodes.bus_access import PersistentSender, Send
-from can_rig.nodes.recording import CandumpLines, Log, PlantRecorder
+from can_rig.nodes.recording import CandumpLines, PlantRecorder, RealTimeRecorder, Recorder
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.plant.witnesses import SensorFrames, hearing_of
@@ -84,7 +84,7 @@ class PlantEnd:
         scenario: Scenario,
         network: Network,
         send: Send,
-        log: Log | None,
+        log: Recorder | RealTimeRecorder | None,
         reports: PlantRecorder | None = None,
         changing: bool = False,
         local: tuple[LocalBus | None, CandumpLines | None] = (None, None),

@@ -20,10 +20,5 @@ class Interaction:
     told: tuple[Touch, ...] = ()
     """Commands of a log: they come where they came, and nobody waits between them."""
 
-    @property
-    def replayed(self) -> bool:
-        """Whether the commands come from a log."""
-        return bool(self.told)
-
 
 UNTOUCHED: Final = Interaction()

@@ -140,8 +140,10 @@ class PlantNode:
         if self._outages and tick >= self._outages[0].start:
             self._end.expect_restart()
             watchdog.expect_restart()
-            if tick in self._outages[0]:
-                self._pass(tick, watchdog)
+            if tick in self._outages[0]:  # the controller has no power
+                while (message := watchdog.glance(0.0)) is not None:
+                    self._overhear(message)
+                self._finish(tick, None, None)
                 return
             self._outages.popleft()
         if self._end.bursts is not None:
@@ -158,37 +160,28 @@ class PlantNode:
         commands: list[float | None] = [None, None]
         while True:
             message = watchdog.receive(tick)
-            if self._recorder is not None:
-                self._recorder.record(message, sent=False)
             judged = self._end.judge(message, tick)
-            if judged is None and self._end.ends(message, tick):
-                watchdog.hear()
-                break
-            if judged is None:
-                self._others_send = True
-                self._control.take(message)
+            if judged is None and not self._end.ends(message, tick):
+                self._overhear(message)
                 watchdog.go_on_waiting(tick)
                 continue
-            at, record = judged
-            if at == COMMANDS:
+            if self._recorder is not None:
+                self._recorder.record(message, sent=False)
+            if judged is None or judged[0] == COMMANDS:
                 watchdog.hear()
                 break
+            at, record = judged
             if math.isfinite(record.value):
                 commands[at] = record.value
-        self._end.end_tick()
-        self._end.advance(tick, *commands)
-        self._control.applied()
+        self._finish(tick, *commands)
 
-    def _pass(self, tick: int, watchdog: Watchdog) -> None:
-        """Finish a tick in which the controller has no power."""
-        while (message := watchdog.glance(0.0)) is not None:
-            self._overhear(message)
+    def _finish(self, tick: int, command_1: float | None, command_2: float | None) -> None:
         self._end.end_tick()
-        self._end.advance(tick, None, None)
+        self._end.advance(tick, command_1, command_2)
         self._control.applied()
 
     def _overhear(self, message: can.Message) -> None:
-        """Note a frame that comes between two ticks."""
+        """Note a frame of another sender, or one that comes between two ticks."""
         self._others_send = True
         if self._recorder is not None:
             self._recorder.record(message, sent=False)

@@ -85,10 +85,6 @@ class NodeProcess:
         summary: NodeSummary | None = self.said.get("summary")
         return int(self.said.get("ticks", 0)) if summary is None else summary.ticks
 
-    def ask_to_stop(self) -> None:
-        """The node ends after its tick."""
-        self.process.terminate()
-
     def kill(self) -> None:
         """Leave nothing behind."""
         if self.process.is_alive():
@@ -196,7 +192,7 @@ def _watch(
         if stop.wanted and not asked:
             asked = True
             deadline_s = time.monotonic() + ENDS_WITHIN_S
-            processes[-1].ask_to_stop()
+            processes[-1].process.terminate()  # the node ends after its tick
         for ready in wait(list(open_), timeout=0.1):
             process = open_[ready]
             if not process.listen():
@@ -205,7 +201,7 @@ def _watch(
                 process.ended_s = time.monotonic()
                 deadline_s = process.ended_s + ENDS_WITHIN_S
                 if stop.wanted:
-                    processes[0].ask_to_stop()
+                    processes[0].process.terminate()
         on_tick(processes[-1].ticks)
 
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
-from typing import IO, Any, Final, Protocol, Self
+from typing import IO, Any, Final, Self
 
 import can
 import numpy as np
@@ -32,13 +32,6 @@ from firmware_model.law.structs import FloatArray
 
 CHANNEL: Final = "vcan0"
 """So that can-utils' canplayer needs no mapping."""
-
-
-class Log(Protocol):
-    """What frames are recorded in."""
-
-    def record(self, message: can.Message, sent: bool) -> None:
-        """Note one frame, ``sent`` by this node or received."""
 
 
 def is_stream(path: Path) -> bool:

@@ -94,7 +94,7 @@ class RunControl:
 
     def applied(self) -> None:
         """Report to viewers what the actuators apply in this tick, and now and then the motion."""
-        if not self._interaction.injectable or self._interaction.replayed:
+        if not self._interaction.injectable or self._interaction.told:
             return
         plant = self._end.plant
         self._send(operator_frames.applied_message(*plant.applied))
@@ -111,7 +111,7 @@ class RunControl:
                 hear(message)
                 continue
             self._obey(tick)
-            if not self._paused or self._steps or self._interaction.replayed:
+            if not self._paused or self._steps or self._interaction.told:
                 break
             self._tell()
             message = watchdog.glance(PAUSE_S)
@@ -142,7 +142,7 @@ class RunControl:
         elif value is None or (value < 0.0 and command.action != "MOVE_REFERENCE"):
             return False
         elif command.action == "MOVE_REFERENCE":
-            if not self._interaction.replayed:  # the reference of a log has been moved already
+            if not self._interaction.told:  # the reference of a log has been moved already
                 self._end.reference_offset = value
         elif command.action == "PACE":
             self._pace, self._paused = value, False
@@ -152,7 +152,7 @@ class RunControl:
         return True
 
     def _keep_pace(self) -> None:
-        if not self._pace or self._paused or self._interaction.replayed:
+        if not self._pace or self._paused or self._interaction.told:
             return
         now_ns = self._clock.now_ns()
         self._due_ns += round(self._tick_ns / self._pace)
@@ -164,7 +164,7 @@ class RunControl:
     def _tell(self) -> None:
         """Say now and then how things stand."""
         now_ns = self._clock.now_ns()
-        if not self._interaction.injectable or self._interaction.replayed:
+        if not self._interaction.injectable or self._interaction.told:
             return
         if now_ns - self._told_ns < TELL_EVERY_NS:
             return

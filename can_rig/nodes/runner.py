@@ -71,7 +71,7 @@ class RunOptions:
     @property
     def bursts(self) -> bool:
         """Whether both nodes are of this kind, and nothing changes their frames during the run."""
-        touched = self.interaction.injectable or self.interaction.replayed
+        touched = self.interaction.injectable or self.interaction.told
         return not (
             self.real_time or self.by_hand or touched or isinstance(self.controller, WholeNode)
         )

@@ -177,7 +177,7 @@ class RealTimeControllerNode:
             self._miss(range(self._tick, sample.tick))
             if newest - sample.tick < self._latency_ticks:
                 self._answer_sample(sample)
-            elif self._listens:
+            elif self._listened is not None:
                 self._listen(sample.inputs)
             else:
                 late = range(sample.tick, sample.tick + 1)
@@ -198,7 +198,7 @@ class RealTimeControllerNode:
             self._speed_now = self._end.speed_of(message, None) or self._speed_now
         elif self._end.witnesses.concerns(message):
             self._end.witnesses.take(message, None)
-        elif number in self._command_ids and self._listens:
+        elif number in self._command_ids and self._listened is not None:
             raise BusError(
                 "another controller node sends commands on this bus; there must be only one"
             )
@@ -231,7 +231,7 @@ class RealTimeControllerNode:
         """Skip ``ticks`` ticks whose commands would all be too late."""
         nothing = Inputs(math.nan, math.nan, speed_mps)
         for tick in ticks[: max(0, self._most_missed - self._missed)]:
-            if self._listens:
+            if self._listened is not None:
                 self._listen(nothing)
                 continue
             self._look_back(tick, offered_s)
@@ -259,7 +259,7 @@ class RealTimeControllerNode:
     def _answer_sample(self, sample: Sample) -> None:
         tick, inputs = sample.tick, sample.inputs
         self._missed = 0
-        if self._listens:
+        if self._listened is not None:
             self._end.send_status(tick, LISTENING)
             self._listen(inputs)
             return
@@ -269,10 +269,6 @@ class RealTimeControllerNode:
         self._end.send_commands(tick, *commands)
         self._sent[tick % self._latency_ticks] = Sent(commands, self._clock.stamp_s())
         self._end.send_status(tick, said(answer))
-
-    @property
-    def _listens(self) -> bool:
-        return self._listened is not None
 
     def _begin_restart(self) -> None:
         self._listened = []
