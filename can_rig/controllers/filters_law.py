@@ -37,10 +37,8 @@ class FiltersLaw:
     """Filters between reference, measurement, commands and d̂; see ``protocol.Controller``.
 
     The filters are one system in δ = z - 1, x⁺ = x + Ax + B(r, y), (u1, u2, d̂) = Cx + D(r, y):
-    the sections of the firmware, with every loop of a tick solved once.
-
-    Args:
-        filters: by name, of ``PATHS``.
+    the sections of the firmware, with every loop of a tick solved once. The names of ``filters``
+    are those of ``PATHS``.
 
     Raises:
         ValueError: a loop without delay whose gain is one.

@@ -133,16 +133,11 @@ def wrapped(line: str, indent: str, inner: str | None = None) -> list[str]:
     """
     if len(indent) + len(line) <= WIDTH:
         return [indent + line]
-    places = [
-        (rank, at)
-        for rank, at in _breaks(line)
-        if len(indent) + at + (1 if line[at] == "," else 0) <= WIDTH
-    ]
+    places = [(rank, at) for rank, at in _breaks(line) if len(indent) + at <= WIDTH]
     if not places:
         return [indent + line]
     least = min(rank for rank, _ in places)
     at = max(place for rank, place in places if rank == least)
-    at += 1 if line[at] == "," else 0
     inner = indent + INDENT * 2 if inner is None else inner
     return [indent + line[:at].rstrip(), *wrapped(line[at:].lstrip(), inner, inner)]
 
@@ -158,7 +153,7 @@ def _breaks(line: str) -> list[tuple[tuple[int, int], int]]:
         elif letter in ")]}":
             depth -= 1
         elif letter == ",":
-            found.append(((depth, 0), at))
+            found.append(((depth, 0), at + 1))
         elif line[at : at + 3] == " = ":
             found.append(((LAST_RESORT, 0), at + 2))
         else:
@@ -181,17 +176,11 @@ Place = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True)
 class Declarations:
-    """The declarations of a function.
+    """The declarations of a function, by statement."""
 
-    Attributes:
-        before: names declared before a statement, without a value.
-        at: names declared by their first assignment.
-        once: names with a single assignment.
-    """
-
-    before: dict[ast.stmt, list[str]]
-    at: dict[ast.stmt, set[str]]
-    once: set[str]
+    before: dict[ast.stmt, list[str]]  # names declared before it, without a value
+    at: dict[ast.stmt, set[str]]  # names declared by it, their first assignment
+    once: set[str]  # names with a single assignment
 
 
 def declarations(typed: Typed) -> Declarations:

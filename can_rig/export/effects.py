@@ -13,10 +13,7 @@ from can_rig.export.subset import Program, Typed
 
 
 class Effects:
-    """The side effects of a program's functions.
-
-    Attributes:
-        changing: the structs that the program writes.
+    """The side effects of a program's functions, which write the structs in ``changing``.
 
     Raises:
         ExportError: the value of an expression depends on C's order of evaluation.

@@ -69,9 +69,7 @@ def _takes(callee: Any, n: int) -> bool:
 class Program:
     """Every function of the target that the entry points need, each with a single signature.
 
-    Attributes:
-        sources: the modules of the functions.
-        functions: by name in C, callees before callers.
+    ``functions`` has them by their names in C, callees before callers.
     """
 
     def __init__(self, sources: Sources) -> None:
@@ -110,11 +108,9 @@ class Program:
 
 
 class Typed:
-    """A function with its types.
+    """A function with its types: of all ``names``, first the parameters, and of expressions.
 
-    Attributes:
-        names: types of all its names: parameters, then assigned names.
-        calls: the called functions of the target, by call node.
+    ``calls`` has the called functions of the target by call node.
 
     Raises:
         ExportError: something is outside the subset.
@@ -254,9 +250,7 @@ class Typed:
     def _loop(self, node: ast.For) -> None:
         """A loop over range(stop), range(start, stop) or range(start, stop, -1).
 
-        Its counter has no other use.
-
-        C ends the counter with the loop.
+        Its counter has no other use, for C ends the counter with the loop.
         """
         match node:
             case ast.For(

@@ -4,7 +4,7 @@ A ZIP archive may claim and hold anything, so the bounds count the bytes that co
 """
 
 import zipfile
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, NamedTuple
@@ -222,7 +222,10 @@ class _Names:
             raise ScenarioError(
                 f"{here}: must be {wanted} of the FMU, not {_a(variable.type + shape)}"
             )
-        return Variable(variable.valueReference, self._access(variable.type))
+        access = variable.type
+        if access == "Enumeration":
+            access = "Integer" if self._old else "Int64"
+        return Variable(variable.valueReference, access)
 
     def refuse_one_for_both(self) -> None:
         """Refuse one variable for two inputs: the second value would overwrite the first."""
@@ -268,12 +271,8 @@ class _Names:
             for name, variable in self._variables.items()
             if causality in (None, variable.causality)
         ]
-        return _listed(names) if names else f"no {causality or 'variable'}"
-
-    def _access(self, kind: str) -> str:
-        if kind == "Enumeration":
-            return "Integer" if self._old else "Int64"
-        return kind
+        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+        return ", ".join(names[:SHOWN]) + more if names else f"no {causality or 'variable'}"
 
 
 def _wanted(kind: str, value: object) -> str:
@@ -288,12 +287,6 @@ def _wanted(kind: str, value: object) -> str:
     if kind == "String":
         return "" if isinstance(value, str) else "a text"
     return "of another variable"
-
-
-def _listed(names: Iterable[str]) -> str:
-    names = list(names)
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return ", ".join(names[:SHOWN]) + more
 
 
 def _a(word: str) -> str:

@@ -5,8 +5,8 @@ import time
 from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any, Final
+from dataclasses import dataclass, field
+from typing import Final
 
 import can
 import numpy as np
@@ -99,10 +99,6 @@ class Lamps:
     refused: int = 0
     """Commands that the plant node has not obeyed."""
     bus_errors: dict[str, int] = field(default_factory=dict)
-
-    def as_dict(self) -> dict[str, Any]:
-        """For the page."""
-        return asdict(self)
 
 
 class Frames(can.Listener):
@@ -335,14 +331,12 @@ class LiveSignals:
             self.lamps.injectable, self.lamps.pace = self.state.injectable, self.state.pace
             self.lamps.refused = self.state.refused
 
-    def _applied_in(self, tick: int) -> tuple[float, float]:
-        return self._applied.pop(tick, (np.nan, np.nan))
-
     def _row(self, tick: int, *heard: float) -> tuple[float, ...]:
         said, further = heard[: ROLE_COLUMNS + CODES], heard[ROLE_COLUMNS + CODES :]
         names = (*self._rows.sensors, *self._rows.sample_ages)
         samples = samples_in(dict(zip(names, further, strict=True)))
-        evidence, applied = self._evidence(tick, samples, *heard[:4]), self._applied_in(tick)
+        evidence = self._evidence(tick, samples, *heard[:4])
+        applied = self._applied.pop(tick, (np.nan, np.nan))
         still = (self._second_mass.next(applied), *NO_MOTION[1:])
         return (
             tick * self._scenario.tick_s,

@@ -231,7 +231,7 @@ class Screen:
         self._updates += 1
         if self._updates % LAMPS_EVERY == 0 and self.viewers:
             state = self.session.state()._asdict()
-            self.offer(json.dumps({"lamps": live.lamps.as_dict(), "state": state}))
+            self.offer(json.dumps({"lamps": asdict(live.lamps), "state": state}))
 
     async def obey(self, order: dict[str, Any]) -> None:
         """Execute a request of the page.
