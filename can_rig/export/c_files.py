@@ -592,17 +592,17 @@ class Names:
         self._homes: dict[str, Module] = {}
         for typed in program.functions.values():
             user = typed.function.module
-            for statement in typed.function.body:
-                for node in ast.walk(statement):
-                    if isinstance(node, ast.Name) and node.id not in typed.names:
-                        value = user.lookup(node.id)
-                        if isinstance(value, int | float):
-                            home = _origin(self._sources, user, node.id)
-                            if node.id not in home.assignments:
-                                what = f"{{}}: must have an assignment in a module: {{}} = {value}"
-                                raise user.refuse(node, what)
-                            self._homes[home.name] = home
-                            self._used.setdefault((home.name, node.id), set()).add(user.name)
+            for node in typed.function.nodes:
+                if not isinstance(node, ast.Name) or node.id in typed.names:
+                    continue
+                value = user.lookup(node.id)
+                if isinstance(value, int | float):
+                    home = _origin(self._sources, user, node.id)
+                    if node.id not in home.assignments:
+                        what = f"{{}}: must have an assignment in a module: {{}} = {value}"
+                        raise user.refuse(node, what)
+                    self._homes[home.name] = home
+                    self._used.setdefault((home.name, node.id), set()).add(user.name)
         self._check(program)
 
     def headers(self, user: Module) -> set[str]:

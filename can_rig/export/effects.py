@@ -36,12 +36,12 @@ class Effects:
         """The names that ``typed`` writes, aliases included."""
         aliases = {
             (one.id, value)
-            for node in _walk(typed)
+            for node in typed.function.nodes
             if isinstance(node, ast.Assign)
             for one, value in paired(node)
             if isinstance(one, ast.Name) and isinstance(typed.names.get(one.id), Record | Array)
         }
-        for node in _walk(typed):
+        for node in typed.function.nodes:
             targets: list[ast.expr] = []
             if isinstance(node, ast.Assign):
                 targets = [one for each in node.targets for one in getattr(each, "elts", [each])]
@@ -76,7 +76,7 @@ class Effects:
 
     def _check_order(self, typed: Typed) -> None:
         """Refuse the first expression whose value depends on the order of its parts."""
-        for node in _walk(typed):
+        for node in typed.function.nodes:
             match node:
                 case ast.BinOp(left=left, right=right):
                     self._unordered(typed, node, [left, right])
@@ -194,8 +194,3 @@ def _indices(target: ast.expr) -> list[ast.expr]:
             found += index.elts if isinstance(index, ast.Tuple) else [index]
         target = target.value
     return [each for each in found if not isinstance(each, ast.Slice)]
-
-
-def _walk(typed: Typed) -> Iterator[ast.AST]:
-    for statement in typed.function.body:
-        yield from ast.walk(statement)

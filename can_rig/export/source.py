@@ -117,6 +117,7 @@ class Function:
         self.parameters = [argument.arg for argument in tree.args.args]
         self.docstring = ast.get_docstring(tree) or ""
         self.body = tree.body[1:] if self.docstring else tree.body
+        self.nodes = [node for statement in self.body for node in ast.walk(statement)]
 
 
 class Module:

@@ -131,8 +131,7 @@ class Typed:
         last = function.body[-1] if function.body else function.tree
         if self.result is not None and not _always_returns(last):
             raise self._refuse(last, f"{function.name} must end with a return")
-        nodes = [node for statement in function.body for node in ast.walk(statement)]
-        self._stored = {name for node in nodes for name in _stored(node)}
+        self._stored = {name for node in function.nodes for name in _stored(node)}
         self._check_assigned(function.body, set(function.parameters))
 
     def _check_signature(self) -> None:

@@ -344,8 +344,7 @@ class Watchdog:
         Raises:
             Interrupted: a stop was requested.
         """
-        if self.stop.wanted:
-            raise Interrupted
+        self.stop.require_none()
         try:
             return self._bus.recv(timeout_s)
         except can.CanError as error:
@@ -362,8 +361,7 @@ class Watchdog:
         Raises:
             SilentNodeError, BusLostError, Interrupted: as ``receive``.
         """
-        if self.stop.wanted:
-            raise Interrupted
+        self.stop.require_none()
         now_ns = self._clock.now_ns()
         if self._looked_ns is not None:
             self._silent_ns += min(now_ns - self._looked_ns, AWAKE_NS)

@@ -134,8 +134,7 @@ class PlantNode:
     def collect(self, tick: int, watchdog: Watchdog) -> None:
         """Finish ``tick``: take the commands up to its status frame and advance the plant.
 
-        Raises:
-            SilentNodeError, BusLostError, Interrupted: see ``Watchdog.receive``.
+        Errors are those of ``Watchdog.receive``.
         """
         if self._outages and tick >= self._outages[0].start:
             self._end.expect_restart()
@@ -296,11 +295,7 @@ class AnsweringNode(ABC):
         return self.tick
 
     def serve(self, watchdog: Watchdog) -> None:
-        """Wait for one tick's feedback and answer the tick.
-
-        Raises:
-            SilentNodeError, BusLostError, Interrupted: see ``Watchdog.receive``.
-        """
+        """Wait for one tick's feedback and answer the tick; errors as of ``Watchdog.receive``."""
         while not self.take(watchdog.receive(self.tick)):
             watchdog.go_on_waiting(self.tick)
         watchdog.hear()
@@ -373,9 +368,9 @@ class ControllerNode(AnsweringNode):
 
     def serve(self, watchdog: Watchdog) -> None:
         """See ``AnsweringNode``."""
-        waits = self._expected is not None and not self._has_no_power
-        if self._end.bursts is not None and self._expected is not None and waits:
-            found = self._end.bursts.receive(self._expected)
+        bursts = None if self._has_no_power else self._end.bursts
+        if bursts is not None and self._expected is not None:
+            found = bursts.receive(self._expected)
             if found is not None:
                 *speed, reference, measurement = found
                 if speed:

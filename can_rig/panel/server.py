@@ -78,13 +78,9 @@ MOST_BYTES: Final = 4096
 
 PAGE: Final = {"": "index.html", "panel.js": "panel.js"}
 BENCH: Final = {
-    "uplot.js": "uPlot.iife.min.js",
-    "uplot.css": "uPlot.min.css",
-    "charts.js": "charts.js",
-    "trace.js": "trace.js",
-    "scene.js": "scene.js",
-    "bench.css": "bench.css",
-}
+    "uplot.js": "uPlot.iife.min.js", "uplot.css": "uPlot.min.css",
+    **{name: name for name in ("charts.js", "trace.js", "scene.js", "bench.css")},
+}  # fmt: skip
 
 HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; connect-src 'self'; "

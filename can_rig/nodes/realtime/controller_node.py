@@ -155,12 +155,7 @@ class RealTimeControllerNode:
         return self._tick
 
     def serve(self, watchdog: Watchdog) -> None:
-        """Wait for frames and answer the samples among them.
-
-        Raises:
-            SilentNodeError, Interrupted: see ``Watchdog.receive``.
-            BusError: another controller node is at work.
-        """
+        """Wait for frames and answer the samples among them; errors as of ``carry``."""
         message: can.Message | None = watchdog.receive(self._tick)
         others = samples = 0
         while message is not None:
