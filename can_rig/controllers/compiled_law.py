@@ -63,24 +63,12 @@ class CompiledLaw:
     def step_of(self, tables: Records[Table], states: Records[State]) -> Step:
         """``controller.step``, bound to the table and the state."""
         step, memory = self._step, (_address(tables), _address(states))
-        one, other, estimate, mode, fault_state = (
-            states[name]
-            for name in ("command_1", "command_2", "fault_estimate", "mode", "fault_state")
-        )
-        verdict = states["hypotheses"]["verdict"]
+        names = ("command_1", "command_2", "fault_estimate", "mode", "fault_state")
+        answers = [*(states[name].item for name in names), states["hypotheses"]["verdict"].item]
 
-        def stepped(
-            reference: float, measurement: float
-        ) -> tuple[float, float, float, int, int, int]:
+        def stepped(reference: float, measurement: float) -> tuple[Any, ...]:
             step(*memory, reference, measurement)
-            return (
-                one.item(),
-                other.item(),
-                estimate.item(),
-                mode.item(),
-                fault_state.item(),
-                verdict.item(),
-            )
+            return tuple([answer() for answer in answers])
 
         return stepped
 

@@ -2,7 +2,7 @@
 
 import math
 
-from can_rig.controllers.protocol import Answer, InNode, Inputs, NodeController, samples_in
+from can_rig.controllers.protocol import Answer, InNode, Inputs, samples_in
 from can_rig.frames.network import Network
 from can_rig.scenario.controls import controls
 from can_rig.scenario.settings import Scenario
@@ -47,11 +47,7 @@ class OurLaw:
 
 def in_node(law: Law, without_frames: bool = False) -> InNode:
     """The control law by ``law``, in a node of the rig; see ``InNode``."""
-
-    def start(scenario: Scenario, network: Network) -> NodeController:
-        return OurLaw(scenario, network, law)
-
-    return InNode(start, without_frames)
+    return InNode(lambda scenario, network: OurLaw(scenario, network, law), without_frames)
 
 
 PYTHON = in_node(PYTHON_LAW, without_frames=True)
