@@ -76,6 +76,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
 
 def recorded(folder: Path, lines: int, summary: NodeSummary | RigError) -> execution.Runner:
     """A runner that records the first lines of a real log and then ends so."""
+    folder.mkdir()
     source = record(folder, *SHORT, bus="virtual:source")[0].read_text().splitlines(keepends=True)
 
     def run(_scenario: object, log: Path, *_: object) -> NodeSummary:
@@ -127,7 +128,6 @@ def test_where_the_closing_files_cannot_be_written_both_runs_are_kept(there, tmp
 def test_a_disk_that_fills_during_the_run_is_one_line_that_says_where_the_frames_are(
     tmp_path, monkeypatch
 ):
-    (tmp_path / "source").mkdir()
     out, log = tmp_path / "out", tmp_path / "out" / "bus.log"
     runner = recorded(tmp_path / "source", 32, LogError(f"{log}: cannot be written: full"))
     monkeypatch.setattr(Signals, "write_csv", full)
@@ -140,7 +140,6 @@ def test_a_disk_that_fills_during_the_run_is_one_line_that_says_where_the_frames
 @pytest.mark.parametrize("force", [False, True])
 def test_a_run_that_fails_keeps_what_it_recorded(force, there, tmp_path):
     out = there if force else tmp_path / "other"
-    (tmp_path / "source").mkdir()
     runner = recorded(tmp_path / "source", 32, SilentNodeError("the plant node was ended"))
     done = execute(SCENARIO, out, StopRequest(), Options(force=force, runner=runner))
     assert done is not None
@@ -155,7 +154,6 @@ def test_a_run_that_fails_keeps_what_it_recorded(force, there, tmp_path):
 @pytest.mark.parametrize("ending", [RigError("refused"), NodeSummary(0, 0.0, {}, {})], ids=str)
 def test_a_run_that_records_nothing_replaces_nothing(ending, there, tmp_path):
     before = contents(there)
-    (tmp_path / "source").mkdir()
     runner = recorded(tmp_path / "source", 0, ending)
     for out, force in ((there, True), (tmp_path / "new", False)):
         if isinstance(ending, RigError):
@@ -170,7 +168,6 @@ def test_a_run_that_records_nothing_replaces_nothing(ending, there, tmp_path):
 
 
 def test_what_the_nodes_say_is_in_the_summary(tmp_path):
-    (tmp_path / "source").mkdir()
     events, rejected = {"plant": {"no buffer space": 3}}, {"DSTAR_FEEDBACK": {"wrong_crc": 1}}
     said = NodeSummary(20, 0.5, rejected, events)
     done = execute(
@@ -188,7 +185,6 @@ def test_what_the_nodes_say_is_in_the_summary(tmp_path):
 
 def test_a_stopped_run_says_so(tmp_path):
     stop = StopRequest()
-    (tmp_path / "source").mkdir()
     runner = recorded(tmp_path / "source", 25, NodeSummary(5, 0.1, {}, {}))
     done = execute(SCENARIO, tmp_path / "r", stop, Options(runner=runner))
     assert done is not None
