@@ -29,7 +29,7 @@ from can_rig.campaigns.workers import DEATHS, deaths_after, serially, versions
 from can_rig.errors import RigError, RunFolderError, ScenarioError, WorkersLostError
 from can_rig.results.metrics import Metrics, metrics_of
 from can_rig.scenario.settings import Scenario
-from tests.helpers import asked
+from tests.helpers import asked, succeeded
 from tests.rig.campaigns.running import SHORT, in_two_processes, planned, ran, rows
 
 FAR_CLUSTER = """
@@ -83,8 +83,7 @@ def test_every_row_can_be_repeated_to_the_bit(done, tmp_path):
     for row in rows(done)[::11]:
         words = shlex.split(row["command"])
         assert words[:2] == ["can-rig", "run"]
-        again = asked(*words[1:], "--json", "--out", tmp_path / str(row["run"]))
-        assert again.returncode == 0, again.stderr
+        again = succeeded(*words[1:], "--json", "--out", tmp_path / str(row["run"]))
         told = json.loads(again.stdout)["metrics"]
         assert {name: row[name] for name in METRICS} == told
         scenario = json.loads((tmp_path / str(row["run"]) / "run.json").read_text())["scenario"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers import asked, rig, start
+from tests.helpers import asked, refused, rig, start
 
 RUN = ["run", "thesis-step", "--in-process", "--set", "duration_s=0.05"]
 
@@ -72,17 +72,13 @@ def test_what_is_wrong_is_one_line_with_exit_status_2(arguments, reason, tmp_pat
 )  # fmt: skip
 @pytest.mark.parametrize("node", ["plant", "controller"])
 def test_a_node_refuses_as_clearly(node, arguments, reason):
-    done = asked(node, "thesis-step", *arguments)
-    assert done.returncode == 2
-    assert reason in done.stderr
-    assert "Traceback" not in done.stderr
+    assert reason in refused(node, "thesis-step", *arguments)
 
 
 def test_a_log_that_cannot_be_written_is_one_line(tmp_path):
-    done = asked("plant", "--log", tmp_path / "no" / "bus.log", "--bus", f"local:{tmp_path / 'b'}")
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert "bus.log" in done.stderr
+    assert "bus.log" in refused(
+        "plant", "--log", tmp_path / "no" / "bus.log", "--bus", f"local:{tmp_path / 'b'}"
+    )
 
 
 def test_a_mistake_in_two_processes_is_one_line_and_leaves_no_folder(tmp_path):

@@ -20,10 +20,9 @@ from can_rig.export.compiler import WARNINGS, built
 from can_rig.export.law import numbers_of, support
 from can_rig.export.network_code import NetworkCode
 from can_rig.frames.network import Network
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.runner import run_in_process
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import Precision
+from tests.helpers import on_a_bus
 
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 EMULATED = pytest.mark.skipif(
@@ -49,10 +48,9 @@ def log_of(name: str, settings: Sequence[str], controller: Supplied = PYTHON) ->
 
 def log_from(scenario: Scenario, controller: Supplied = PYTHON) -> bytes:
     """The same of a scenario."""
-    ended = StopRequest()
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "bus.log"
-        run_in_process(scenario, "virtual:export", log, ended, lambda tick: None, controller)
+        on_a_bus(scenario, log, controller, "virtual:export")
         return log.read_bytes()
 
 

@@ -17,10 +17,8 @@ from pathlib import Path
 
 import can
 import pytest
-from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
-from can_rig.cli.main import main
 from can_rig.controllers import CONTROLLERS, SERIAL, ecus
 from can_rig.controllers.compiled_law import CompiledLaw
 from can_rig.controllers.ecus import (
@@ -45,16 +43,15 @@ from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario.build import network_of
 from firmware_model.law.structs import record_type
 from firmware_model.law.supervision.knowledge import Saved
+from tests import helpers
 from tests.rig.export.shared import EMULATED, log_of
 
 
 def refused(tmp_path: Path, *options: str) -> str:
     """The one line of a run that cannot start."""
-    command = ["run", "default", *options, "--out", str(tmp_path / "run")]
-    done = CliRunner().invoke(main, command)
-    assert done.exit_code == 2
+    line = helpers.refused("run", "default", *options, "--out", tmp_path / "run")
     assert not (tmp_path / "run").exists()
-    return str(done.stderr)
+    return line
 
 
 # --- the law -------------------------------------------------------------------------------------
@@ -100,8 +97,7 @@ def test_the_precision_is_the_scenario_s():
 
 def test_two_processes_run_the_c(tmp_path):
     command = ["run", "default", "--set", "duration_s=0.2", "--controller", "c"]
-    done = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "run")])
-    assert done.exit_code == 0, done.output
+    helpers.succeeded(*command, "--out", tmp_path / "run")
     found = (tmp_path / "run" / "bus.log").read_bytes()
     assert found == log_of("default", ["duration_s=0.2"])
 

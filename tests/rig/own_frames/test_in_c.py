@@ -12,11 +12,9 @@ import can
 import cantools
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import Phase, given, settings, strategies as st
 
 from can_rig.assessment.resolve import load
-from can_rig.cli.main import main
 from can_rig.controllers.ecus import HostEcu, host_library
 from can_rig.controllers.making import controller_of
 from can_rig.controllers.our_law import PYTHON
@@ -30,6 +28,7 @@ from can_rig.frames.network import Network
 from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import draft
+from tests.helpers import succeeded
 from tests.rig.export.shared import EMULATED, STRICT, frames_in_c, log_from, log_of, run
 from tests.rig.own_frames.scenarios import (
     CALM,
@@ -267,8 +266,7 @@ def test_an_export_compiles_and_repeats_itself(own, tmp_path):
         first, again = tmp_path / f"{layout} 1", tmp_path / f"{layout} 2"
         for scenario, place in (("default", first), (str(first / "default.toml"), again)):
             chosen = words if place == first else []
-            done = CliRunner().invoke(main, ["export", scenario, *chosen, "--out", str(place)])
-            assert done.exit_code == 0, done.output
+            succeeded("export", scenario, *chosen, "--out", place)
         for each in first.iterdir():
             assert each.read_bytes() == (again / each.name).read_bytes(), each.name
         run("sha256sum", "--check", "--quiet", "manifest.sha256", cwd=first)
