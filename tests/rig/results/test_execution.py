@@ -32,20 +32,12 @@ from can_rig.results.run_folder import (
 )
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
-from tests.helpers import asked, record
+from tests.helpers import asked, record, refused, succeeded
+from tests.rig.plant.failing import FAILING
 
 FILES = {"bus.log", "bus.plant.csv", "report.html", "report.png", "run.json", "signals.csv"}
 SHORT = ["duration_s=0.02"]
 SCENARIO = load("thesis-step", SHORT)
-FAILING = """
-class Failing:
-    def __init__(self, settings): self.reset()
-    def reset(self): self.calls = 0
-    def advance(self, dt_s, torque_nm, force_difference_n):
-        self.calls += 1
-        if self.calls > 12: raise RuntimeError("stuck")
-        return 0.0
-"""
 
 
 @pytest.fixture(scope="module")
@@ -199,11 +191,10 @@ def what_if(log: Path, out: Path, *words: object) -> Any:
 
 
 def test_a_what_if_whose_plant_fails_leaves_a_complete_folder(there, tmp_path):
-    (tmp_path / "failing_car.py").write_text(FAILING)
     log = tmp_path / "source.log"
     shutil.copy(there / "bus.log", log)
-    done = what_if(log, there, "--force", "--set", "plant.kind=failing_car:Failing",
-                   "--allow-unstable")  # fmt: skip
+    failing = ["--set", FAILING, "--set", "plant.parameters.calls=12", "--allow-unstable"]
+    done = what_if(log, there, "--force", *failing)
     assert done.returncode == 2
     assert "advance failed at 0.012 s" in done.stderr
     assert "Traceback" not in done.stderr
@@ -230,8 +221,7 @@ def test_a_what_if_has_its_bus_events_and_a_reference_that_can_be_read_again(
     assert summary_of(there)["bus_events"] == {"plant": {"no buffer space": 2}}
     assert summary_of(there)["scenario"]["reference"]["file"] == "reference.csv"
     assert (there / "bus.log").read_bytes() == log.read_bytes()
-    again = asked("replay", there, "--json")  # by the scenario of the folder
-    assert again.returncode == 0, again.stderr
+    succeeded("replay", there, "--json")  # by the scenario of the folder
     moved = there.rename(tmp_path / "moved")
     (values, _) = recorded_scenario(moved)
     assert values["reference"]["file"] == str(moved / "reference.csv")
@@ -240,8 +230,7 @@ def test_a_what_if_has_its_bus_events_and_a_reference_that_can_be_read_again(
 def test_the_same_what_if_twice_gives_the_same_bytes_but_for_the_times(there, tmp_path):
     answers = []
     for out in (tmp_path / "one", tmp_path / "another" / "folder"):
-        done = asked("replay", there, "--what-if", "--set", "plant.mass_kg=1500", "--out", out)
-        assert done.returncode == 0, done.stderr
+        succeeded("replay", there, "--what-if", "--set", "plant.mass_kg=1500", "--out", out)
         files = contents(out)
         summary = json.loads(files.pop("run.json"))
         for measured in ("wall_s", "ticks_per_s", "real_time_factor"):
@@ -275,11 +264,9 @@ def test_a_full_disk_is_one_line_and_nothing_recorded_is_lost(
 
 
 def test_a_bus_within_one_process_is_refused_for_two(tmp_path):
-    done = asked("run", "thesis-step", "--bus", "virtual:x", "--out", tmp_path / "r")
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: bus 'virtual:x': stays within one process")
-    assert "--in-process" in done.stderr
-    assert done.stderr.count("\n") == 1
+    line = refused("run", "thesis-step", "--bus", "virtual:x", "--out", tmp_path / "r")
+    assert line.startswith("error: bus 'virtual:x': stays within one process")
+    assert "--in-process" in line
     assert not (tmp_path / "r").exists()
 
 
