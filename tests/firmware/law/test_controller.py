@@ -31,24 +31,6 @@ def _drive(firmware: Firmware, reference: np.ndarray, y: np.ndarray) -> np.ndarr
 
 
 @pytest.mark.compiled
-def test_is_the_law_of_its_own_filters():
-    """u1 = C(r - y), Tustin's; u2 = F̂ d̂ and d̂ = G1 u1 + G2 u2 - y, both at once, by scipy."""
-    tick_s, n = 1e-3, 400
-    rng = np.random.default_rng(3)
-    reference, y = rng.standard_normal((2, n))
-    filters = discretise(DESIGN, Target(tick_s))
-    u1, u2, estimate = _drive(Firmware(build(DESIGN, Target(tick_s))), reference, y).T
-    size = np.abs(estimate).max()
-    tracked = through(tustin(DESIGN.tracking.controller, tick_s), reference - y)
-    np.testing.assert_allclose(u1, tracked, atol=1e-8 * np.abs(tracked).max())
-    np.testing.assert_allclose(
-        u2, through(filters.compensator, estimate), atol=1e-8 * np.abs(u2).max()
-    )
-    modelled = through(filters.estimator_1, u1) + through(filters.estimator_2, u2)
-    np.testing.assert_allclose(estimate, modelled - y, atol=1e-8 * size)
-
-
-@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1, 3])
 @pytest.mark.parametrize("rule", ["tustin", "tustin-held", "zoh"])
 def test_estimator_works_on_the_commands_as_the_plant_gets_them(rule, latency):
