@@ -60,7 +60,9 @@ def refused(*arguments: object) -> str:
 
 
 @contextmanager
-def refuses(text: str, kind: type[RigError] = ScenarioError) -> Iterator[None]:
+def refuses(
+    text: str, kind: type[RigError] | tuple[type[RigError], ...] = ScenarioError
+) -> Iterator[None]:
     """What is refused in one line that has ``text`` in it."""
     with pytest.raises(kind) as caught:
         yield

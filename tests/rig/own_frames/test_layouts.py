@@ -255,10 +255,8 @@ TICK_KEYS = {
 def test_a_bad_tick_is_one_line(setting, line, tmp_path):
     path = tmp_path / "own.arxml"
     path.write_text(as_arxml(cantools.database.load_file(MOTOROLA)))
-    with pytest.raises((ScenarioError, DbcError)) as caught:
+    with refuses(line, (ScenarioError, DbcError)):
         network_of(load("default", [*arxml_options(path), setting]))
-    assert line in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_ticks_need_the_signals():

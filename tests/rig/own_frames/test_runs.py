@@ -21,7 +21,7 @@ from can_rig.plant.frameless import frameless
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from firmware_model.law.status import FaultState
-from tests.helpers import asked, record, refused, succeeded
+from tests.helpers import asked, record, refused, refuses, succeeded
 from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database, options
 
 DRIVE = ["duration_s=1.5", "fault.at_s=1.0"]
@@ -228,10 +228,8 @@ KEYS = {
 
 @pytest.mark.parametrize(("setting", "line"), KEYS.items(), ids=KEYS)
 def test_a_bad_key_is_one_line_that_names_it(setting, line):
-    with pytest.raises((ScenarioError, DbcError)) as caught:
+    with refuses(line, (ScenarioError, DbcError)):
         network_of(load("default", [*options(MOTOROLA, SIGNALS), setting]))
-    assert line in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_keys_that_need_the_signals_say_so():
