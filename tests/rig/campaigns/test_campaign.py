@@ -177,7 +177,6 @@ def test_ctrl_c_reaches_no_worker_and_no_fork_server_from_the_start_on(tmp_path)
 
 
 def test_workers_that_always_die_end_it_in_a_line(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
     (tmp_path / "deadly_car.py").write_text(
         "import os\nclass Deadly:\n    def __init__(self, settings):\n"
         f"        if os.getpid() != {os.getpid()}: os._exit(9)\n"
@@ -288,7 +287,6 @@ def test_a_cluster_that_is_not_there_is_one_line(arguments, line, tmp_path, monk
 
 
 def test_a_run_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
     (tmp_path / "brittle_car.py").write_text(CLASS_THAT_FAILS)
     axes = {"plant.mass_kg": {"values": [1300.0, 1500.0]}, "tick_s": {"values": [0.001, 1e-9]}}
     settings = {**SHORT["settings"], "plant.kind": "brittle_car:Brittle"}

@@ -196,7 +196,6 @@ def test_a_folder_that_a_killed_run_had_not_filled_yet_is_taken(tmp_path):
 
 @pytest.mark.parametrize("command", ["run", "export", "decode"])
 def test_a_link_to_a_folder_means_the_folder(command, results, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
     shutil.copytree(results / command, tmp_path / "real")
     (tmp_path / "link").symlink_to("real")
     (tmp_path / "nowhere").symlink_to("nothing")
@@ -216,7 +215,6 @@ def test_a_link_to_a_folder_means_the_folder(command, results, tmp_path, monkeyp
 
 
 def test_runs_of_the_same_second_have_folders_of_their_own(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("time.strftime", lambda _: "20260101-000000")
     for _ in range(2):
         assert asked(*RUN).returncode == 0
