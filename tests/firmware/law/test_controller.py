@@ -175,23 +175,6 @@ def test_float32_table_follows_the_float64_one():
 
 
 @pytest.mark.compiled
-@given(y=st.lists(st.floats(-1.0, 1.0), min_size=5, max_size=40))
-def test_algebraic_loop_is_solved_under_saturation(y):
-    """u2 = sat(F̂'s answer to the d̂ that this very u2 gives), tick by tick, but for a make-up."""
-    limit = 200.0
-    target = Target(1e-3, limit_2=limit)
-    filters = discretise(DESIGN, target)
-    n = len(y)
-    table = build(DESIGN, target).copy()
-    table.shortfall_2.gain[:] = 0.0
-    _, u2, estimate = _drive(Firmware(table), np.zeros(n), np.array(y)).T
-    asked = signal.sosfilt(filters.compensator.sos, estimate)
-    np.testing.assert_allclose(
-        u2, np.clip(asked, -limit, limit), atol=1e-7 * (1.0 + np.abs(asked).max())
-    )
-
-
-@pytest.mark.compiled
 @settings(max_examples=20)
 @given(
     latency=st.integers(0, 3),
@@ -203,19 +186,6 @@ def test_no_command_leaves_its_limits(latency, rule, limit):
     trace = simulate(build(DESIGN, target), sample(CAR, 1e-3), np.ones(300))
     assert np.abs(trace.command_1).max() <= limit
     assert np.abs(trace.command_2).max() <= limit
-
-
-@pytest.mark.compiled
-def test_rates_are_limited_and_the_estimator_knows():
-    slow = design(CAR, DesignSpecification(tau_s=0.02, tau_q_s=0.02, alpha_q=3))
-    table = build(slow, Target(1e-3, 1, "zoh", rate_1=2000.0, rate_2=5e4))
-    left = np.ones((3000, 2))
-    left[1500:, 0] = 0.0
-    trace = simulate(table, sample(CAR, 1e-3), np.ones(3000), effectiveness=left)
-    assert np.abs(np.diff(trace.command_1)).max() <= 2.0 * (1 + 1e-9)
-    assert np.abs(np.diff(trace.command_2)).max() <= 50.0 * (1 + 1e-9)
-    assert np.abs(trace.fault_estimate[:1500]).max() < 1e-12
-    assert abs(trace.error[1499]) < 1e-3
 
 
 @pytest.mark.parametrize("limited", [1, 2])
