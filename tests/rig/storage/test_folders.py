@@ -205,9 +205,7 @@ def test_a_link_to_a_folder_means_the_folder(command, results, tmp_path, monkeyp
     monkeypatch.chdir(tmp_path / "real")
     assert asked(*words, "--out", ".", "--force").returncode == 0
     monkeypatch.chdir(tmp_path)
-    refused = asked(*words, "--out", "nowhere", "--force")
-    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
-    assert "is a link to nothing" in refused.stderr
+    assert "is a link to nothing" in refused(*words, "--out", "nowhere", "--force")
     assert {path.name for path in tmp_path.iterdir()} == {"real", "link", "nowhere"}
     assert {path.name for path in (tmp_path / "real").iterdir()} == {
         path.name for path in (results / command).iterdir()
