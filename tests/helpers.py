@@ -2,24 +2,32 @@
 
 import os
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import can
 import cantools
 import numpy as np
+import pytest
 from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.controllers.making import PEER
 from can_rig.controllers.our_law import PYTHON
+from can_rig.controllers.protocol import Supplied
+from can_rig.errors import RigError, ScenarioError
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.ticks import NodeSummary
+from can_rig.nodes.without_bus import run_without_bus
 from can_rig.scenario.settings import Scenario
 from tests.processes import rig, start
 
-__all__ = ["DBC", "NAMES", "asked", "decoded", "record", "rig", "start"]
+__all__ = ["DBC", "NAMES", "asked", "decoded", "on_a_bus", "on_no_bus", "record", "refused",
+           "refuses", "rig", "start", "succeeded"]  # fmt: skip
 
 DBC = Path(__file__).parents[1] / "dbc"
 NAMES = (
@@ -36,6 +44,49 @@ def asked(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.CompletedProcess(words, result.exit_code, result.stdout, result.stderr)
 
 
+def succeeded(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """The same of a command that succeeds."""
+    done = asked(*arguments)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def refused(*arguments: object) -> str:
+    """The one line with which ``can-rig`` refuses ``arguments``."""
+    done = asked(*arguments)
+    assert done.returncode == 2, done.stderr
+    (line,) = done.stderr.splitlines()
+    return line
+
+
+@contextmanager
+def refuses(
+    text: str, kind: type[RigError] | tuple[type[RigError], ...] = ScenarioError
+) -> Iterator[None]:
+    """What is refused in one line that has ``text`` in it."""
+    with pytest.raises(kind) as caught:
+        yield
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def on_a_bus(
+    scenario: Scenario,
+    log: Path,
+    controller: Supplied = PYTHON,
+    bus: str = "virtual:test",
+    **more: Any,
+) -> NodeSummary:
+    """Both nodes in this process."""
+    stop = StopRequest()
+    return run_in_process(scenario, bus, log, stop, lambda tick: None, controller, **more)
+
+
+def on_no_bus(scenario: Scenario, log: Path) -> NodeSummary:
+    """The same without a bus."""
+    return run_without_bus(scenario, log, StopRequest(), lambda tick: None)
+
+
 def record(
     folder: Path, *settings: str, bus: str = "virtual:test", name: str = "thesis-step"
 ) -> tuple[Path, NodeSummary, Scenario]:
@@ -43,8 +94,7 @@ def record(
     scenario = load(name, settings)
     log = folder / f"{len(os.listdir(folder))}.log"  # noqa: PTH208
     controller = PYTHON if scenario.controller.is_ours else PEER
-    summary = run_in_process(scenario, bus, log, StopRequest(), lambda tick: None, controller)
-    return log, summary, scenario
+    return log, on_a_bus(scenario, log, controller, bus), scenario
 
 
 def decoded(log: Path, dbc: str = "steer_by_wire.dbc") -> dict[str, np.ndarray]:

@@ -53,7 +53,6 @@ def own_controllers(tmp_path, monkeypatch):
     def go() -> None:
         (code,) = blocks(text_of("docs/controllers.md"), "python")
         (tmp_path / "mypi.py").write_text(code, "utf-8")
-        monkeypatch.chdir(tmp_path)
         monkeypatch.syspath_prepend(tmp_path)
         include = ROOT / "can_rig" / "controllers"
         flags = ["-shared", "-fPIC", "-O2", f"-I{include}", "-o", "pi.so"]
@@ -157,7 +156,6 @@ def test_every_python_block_is_run_by_some_test():
 def test_the_plant_of_ones_own_is_one(tmp_path, monkeypatch):
     (code,) = blocks(text_of("docs/scenarios.md"), "python")
     (tmp_path / "mycar_of_the_docs.py").write_text(code, "utf-8")
-    monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     kind = "mycar_of_the_docs:Lag"
     plant = load_plant(kind, PlantSettings(kind=kind))

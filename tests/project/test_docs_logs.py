@@ -66,11 +66,10 @@ def follow(text: str) -> None:
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(tmp_path):
     """An empty working directory with the frames and the documentation."""
     for name in ("dbc", "docs"):
         (tmp_path / name).symlink_to(ROOT / name)
-    monkeypatch.chdir(tmp_path)
     return tmp_path
 
 

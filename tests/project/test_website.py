@@ -13,7 +13,7 @@ import website
 import can_rig
 from can_rig.cli.main import main
 from tests.browser import barriers
-from tests.helpers import asked
+from tests.helpers import succeeded
 from tests.project.pages import PAGES, ROOT
 
 
@@ -88,8 +88,7 @@ def test_formulas_are_drawn_without_a_script(site):
 
 
 def test_the_numbers_of_the_gallery_are_those_of_a_run(site, tmp_path):
-    done = asked("run", "pendulum", "--in-process", "--out", tmp_path / "run")
-    assert done.returncode == 0
+    succeeded("run", "pendulum", "--in-process", "--out", tmp_path / "run")
     metrics = json.loads((tmp_path / "run" / "run.json").read_text("utf-8"))["metrics"]
     said = Text(site / "gallery" / "pendulum.html").text
     assert f"{metrics['detection_delay_s']:.4g} s" in said

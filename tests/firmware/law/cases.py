@@ -7,12 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from firmware_model.analysis.sampled_plant import sample
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.mismatch import Channels, Mismatch, principal_mismatch
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.vehicle import VehicleParameters
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.firmware import Firmware
 from firmware_model.law.structs import FloatArray, Records
 from firmware_model.law.supervision.covariance import MAX_DIRECTIONS, MAX_STATES
+from firmware_model.law.supervision.frozen import weigh_frozen
 from firmware_model.law.supervision.signatures import (
     BIAS_ROW,
     DRIFT_ROW,
@@ -102,3 +107,52 @@ def tick_on(table: Any, state: Any) -> None:
     """From that tick to the next."""
     own, command_2 = state.hypotheses.signatures, state.other_cars.command_2
     advance_signatures(table, own, state.echoes, command_2)
+
+
+def repeat(table: Any, state: Any, shown: float, expected: float) -> None:
+    """A tick of the sensor that may be frozen."""
+    own = state.hypotheses.frozen
+    weigh_frozen(table, own, state.mismatch, state.measurement, shown, expected)
+
+
+def with_one_onset(**changes: Any) -> Any:
+    """A table whose hypotheses keep their onset."""
+    table = changed(build(DESIGN, Target(TICK_S, 1, "zoh", noise_rms=0.01, **changes)))[0]
+    numbers = table.hypotheses.signatures.candidate
+    numbers.restart, numbers.lifetime = -math.inf, math.inf
+    return table
+
+
+class Loop:
+    """The model of the law with a sensor, in a sine; channel 1 works to a part."""
+
+    plant = sample(CAR, TICK_S)
+
+    def __init__(self, table: Any, noise_rms: float = 0.0) -> None:
+        self.firmware = Firmware(table)
+        self.working, self.bias = 1.0, 0.0
+        self.state, self.acting, self.ticks = self.plant.rest, np.zeros(2), 0
+        self.noise_rms, self.noise = noise_rms, np.random.default_rng(3)
+
+    @property
+    def reference(self) -> float:
+        return float(np.sin(1.3 * self.ticks * TICK_S))
+
+    @property
+    def output(self) -> float:
+        return float(self.plant.c @ self.state)
+
+    def run(self, ticks: int) -> list[Any]:
+        answers = []
+        for _ in range(ticks):
+            measured = self.output + self.bias + self.noise_rms * self.noise.standard_normal()
+            answers.append(self.firmware.step(self.reference, measured))
+            self.go_on(answers[-1])
+        return answers
+
+    def go_on(self, answer: Any) -> None:
+        """A tick of the car, after which it gets the commands of ``answer``."""
+        left = np.array([self.working, 1.0])
+        self.state = self.plant.phi @ self.state + self.plant.gamma @ (left * self.acting)
+        self.acting = np.array(answer[:2])
+        self.ticks += 1

@@ -4,11 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
 from scipy import signal
 
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.mismatch import TRUSTED
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build, discretise
@@ -16,9 +18,9 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin
 from firmware_model.firmware import Firmware
 from firmware_model.law import controller
-from tests.firmware.law.cases import changed
+from firmware_model.law.status import FaultState, Mode
+from tests.firmware.law.cases import CAR, changed, late, other_cars, through
 
-CAR = steer_by_wire()
 DESIGN = design(CAR, DesignSpecification())
 OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
 
@@ -29,41 +31,12 @@ def _drive(firmware: Firmware, reference: np.ndarray, y: np.ndarray) -> np.ndarr
 
 
 @pytest.mark.compiled
-def test_is_the_law_of_its_own_filters():
-    """u1 = C(r - y), Tustin's; u2 = F̂ d̂ and d̂ = G1 u1 + G2 u2 - y, both at once, by scipy."""
-    tick_s, n = 1e-3, 400
-    rng = np.random.default_rng(3)
-    reference, y = rng.standard_normal((2, n))
-    filters = discretise(DESIGN, Target(tick_s))
-    u1, u2, estimate = _drive(Firmware(build(DESIGN, Target(tick_s))), reference, y).T
-
-    def through(sections, values):  # type: ignore[no-untyped-def]
-        return signal.sosfilt(sections.sos, values)
-
-    size = np.abs(estimate).max()
-    tracked = through(tustin(DESIGN.tracking.controller, tick_s), reference - y)
-    np.testing.assert_allclose(u1, tracked, atol=1e-8 * np.abs(tracked).max())
-    np.testing.assert_allclose(
-        u2, through(filters.compensator, estimate), atol=1e-8 * np.abs(u2).max()
-    )
-    modelled = through(filters.estimator_1, u1) + through(filters.estimator_2, u2)
-    np.testing.assert_allclose(estimate, modelled - y, atol=1e-8 * size)
-
-
-@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1, 3])
 @pytest.mark.parametrize("rule", ["tustin", "tustin-held", "zoh"])
 def test_estimator_works_on_the_commands_as_the_plant_gets_them(rule, latency):
     """Limited, rounded and late: d̂ + y is F1 of exactly those commands."""
-    target = Target(
-        1e-3,
-        latency,
-        rule,
-        limit_1=40.0,
-        limit_2=500.0,
-        lsb_1=0.25,
-        lsb_2=2.0,  # type: ignore[arg-type]
-    )
+    steps = {"lsb_1": 0.25, "lsb_2": 2.0}
+    target = Target(1e-3, latency, rule, limit_1=40.0, limit_2=500.0, **steps)  # type: ignore[arg-type]
     n = 300
     y = 0.01 * np.random.default_rng(4).standard_normal(n)
     u1, u2, estimate = _drive(Firmware(build(DESIGN, target)), np.zeros(n), y).T
@@ -72,10 +45,8 @@ def test_estimator_works_on_the_commands_as_the_plant_gets_them(rule, latency):
     np.testing.assert_array_equal(u2 % 2.0, 0.0)
     assert np.abs(u2).max() <= 500.0
     filters = discretise(DESIGN, target)
-    late_1, late_2 = (np.concatenate([np.zeros(latency), u])[:n] for u in (u1, u2))
-    modelled = signal.sosfilt(filters.estimator_1.sos, late_1) + signal.sosfilt(
-        filters.estimator_2.sos, late_2
-    )
+    modelled = through(filters.estimator_1, late(u1, latency))
+    modelled += through(filters.estimator_2, late(u2, latency))
     np.testing.assert_allclose(estimate, modelled - y, atol=1e-9)
 
 
@@ -129,17 +100,17 @@ def test_smooth_input_converges_with_order_two(design_of, tick_s):  # type: igno
         time_s = np.arange(round(duration_s / fine_s)) * fine_s
         reference, y = smooth(time_s)
 
-        def through(g: ZeroPoleGain, values: np.ndarray) -> np.ndarray:
+        def answer(g: ZeroPoleGain, values: np.ndarray) -> np.ndarray:
             system = signal.ZerosPolesGain(g.zeros, g.poles, g.gain)
             return signal.lsim(system.to_ss(), values, time_s)[1]
 
         feedback = design_of.tracking is not None
-        u1 = through(design_of.tracking.controller, reference - y) if feedback else reference
-        lost = through(design_of.plant.g1, u1) - y
+        u1 = answer(design_of.tracking.controller, reference - y) if feedback else reference
+        lost = answer(design_of.plant.g1, u1) - y
         if not feedback:
-            lost = lost + through(design_of.plant.g2, reference)
-        estimate = lost + through(ZeroPoleGain((), (0.0,), 1.0 / tau_s), lost)
-        u2 = through(design_of.compensator, estimate) + (0.0 if feedback else reference)
+            lost = lost + answer(design_of.plant.g2, reference)
+        estimate = lost + answer(ZeroPoleGain((), (0.0,), 1.0 / tau_s), lost)
+        u2 = answer(design_of.compensator, estimate) + (0.0 if feedback else reference)
         return np.stack([u1, u2, estimate])[:, ::16]
 
     exact = continuous()
@@ -169,7 +140,7 @@ def test_free_parameter_q_filters_the_estimate():
     y = np.random.default_rng(5).standard_normal(n)
     unfiltered = _drive(Firmware(build(plain, Target(1e-3))), np.zeros(n), y)[:, 2]
     filtered = _drive(Firmware(build(shaped, Target(1e-3))), np.zeros(n), y)[:, 2]
-    expected = signal.sosfilt(tustin(lag, 1e-3).sos, unfiltered)
+    expected = through(tustin(lag, 1e-3), unfiltered)
     np.testing.assert_allclose(filtered, expected, atol=1e-6 * np.abs(expected).max())
 
 
@@ -198,3 +169,102 @@ def test_float32_table_follows_the_float64_one():
     )
     assert np.abs(trace.error[-500:]).max() < 1e-5
     assert np.abs(trace.fault_estimate[-500:]).max() < 1e-3
+
+
+# --- limits --------------------------------------------------------------------------------------
+
+
+@pytest.mark.compiled
+@settings(max_examples=20)
+@given(
+    latency=st.integers(0, 3),
+    rule=st.sampled_from(["tustin", "tustin-held", "zoh"]),
+    limit=st.floats(1.0, 1e4),
+)
+def test_no_command_leaves_its_limits(latency, rule, limit):
+    target = Target(1e-3, latency, rule, limit_1=limit, limit_2=limit)  # type: ignore[arg-type]
+    trace = simulate(build(DESIGN, target), sample(CAR, 1e-3), np.ones(300))
+    assert np.abs(trace.command_1).max() <= limit
+    assert np.abs(trace.command_2).max() <= limit
+
+
+@pytest.mark.parametrize("limited", [1, 2])
+def test_the_rate_of_either_channel_is_limited_alone(limited):
+    """d̂ follows a step of D* within the tick, and so do both commands, but for the limited one."""
+    rate = {1: 2000.0, 2: 5e4}[limited]
+    target = Target(1e-3, estimator="zoh", **{f"rate_{limited}": rate})  # type: ignore[arg-type]
+    commands = _drive(Firmware(build(DESIGN, target)), np.ones(4), np.full(4, -0.5))[:, :2]
+    change = np.abs(np.diff(commands, axis=0, prepend=0.0))
+    slew = rate * 1e-3
+    np.testing.assert_allclose(change[:, limited - 1], slew, rtol=1e-12)
+    assert change[0, 2 - limited] > 100.0 * slew
+
+
+# --- reset, input that is no number, overflow ----------------------------------------------------
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_reference_that_is_no_number_holds_the_last_good_command(bad):
+    table = build(DESIGN, Target(1e-3, estimator="zoh"))
+    plant = sample(CAR, 1e-3)
+    healthy, dropout = np.ones(1500), np.zeros(1500)
+    dropout[1000:1010] = bad
+    trace = simulate(table, plant, healthy + dropout)
+    np.testing.assert_array_equal(trace.command_1[1000:1010], trace.command_1[999])
+    np.testing.assert_array_equal(trace.command_2[1000:1010], trace.command_2[999])
+    assert np.isfinite(trace.command_1).all()
+    assert np.isfinite(trace.fault_estimate).all()
+    assert np.abs(trace.fault_estimate[1010:]).max() < 1e-10  # F1 followed the held command
+    assert abs(trace.error[-1]) < 1e-4
+
+    firmware = Firmware(table)
+    assert firmware.step(1.0, 0.0).mode == Mode.RUN
+    before = firmware.step(1.0, 0.1)
+    held = firmware.step(bad, 0.1)
+    assert held.mode == Mode.BLIND
+    assert held[:3] == before[:3]
+    assert firmware.step(1.0, 0.1).mode == Mode.RUN
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("mismatch", [TRUSTED, other_cars(2)], ids=["trusted", "other cars"])
+@pytest.mark.parametrize("overflow", [1.7e308, -1.7e308])
+def test_an_overflow_of_the_measurement_leaves_a_confirmed_loss_compensated(overflow, mismatch):
+    """F1, w and F̂ follow commands, which are finite: only C, that sees D*, begins anew."""
+    target = Target(
+        1e-3, 1, "zoh", limit_1=400.0, limit_2=1e4, mismatch=mismatch, on_confirmation=True
+    )
+    tame = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
+    left, noise = np.ones((3000, 2)), np.zeros(3000)
+    left[300:, 0] = 0.0
+    noise[1000] = overflow
+    plant, table = sample(CAR, 1e-3), build(tame, target)
+    trace = simulate(table, plant, np.ones(3000), effectiveness=left, noise=noise)
+    assert trace.fault_state[999] == FaultState.CONFIRMED
+    assert trace.mode[1000] == Mode.BLIND
+    assert (trace.fault_state[1000:] == FaultState.CONFIRMED).all()
+    assert np.abs(trace.error[1001:]).max() < 0.7  # D* follows C, which begins at zero
+    assert abs(trace.error[-1]) < 0.01
+    assert trace.command_2[-1] == pytest.approx(1.0 / CAR.g2.dc_gain, rel=0.01)
+
+
+@pytest.mark.parametrize("reference", [1.0, -0.4, 0.0])
+@pytest.mark.parametrize("latency", [0, 2])
+def test_reset_to_steady_state_repeats_the_settled_commands(reference, latency):
+    firmware = Firmware(build(DESIGN, Target(1e-3, latency, "zoh")))
+    firmware.step(0.3, 0.1)
+    firmware.reset(reference)
+    for _ in range(200):
+        answer = firmware.step(reference, reference)
+        assert answer.command_1 == pytest.approx(reference / CAR.g1.dc_gain, rel=1e-9)
+        assert answer.command_2 == pytest.approx(0.0, abs=1e-6)
+        assert answer.fault_estimate == pytest.approx(0.0, abs=1e-9)
+
+
+def test_reset_of_the_open_loop():
+    firmware = Firmware(build(OPEN_LOOP, Target(1e-3)))
+    firmware.reset(2.0)
+    y = 2.0 * (chapter_2().g1.dc_gain + chapter_2().g2.dc_gain)
+    answer = firmware.step(2.0, y)
+    assert answer[:3] == pytest.approx((2.0, 2.0, 0.0), abs=1e-9)

@@ -10,9 +10,10 @@ from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
+from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray
-from tests.firmware.law.cases import CAR, DESIGN, TICK_S, car_at, other_cars
+from tests.firmware.law.cases import CAR, DESIGN, NEVER, TICK_S, car_at, changed, other_cars
 
 PLANT = sample(CAR, TICK_S)
 FAST = design(CAR, DesignSpecification(tau_s=0.0002, tau_q_s=0.002))
@@ -212,3 +213,20 @@ def test_a_command_that_acts_within_the_tick_is_no_fault():
     assert table.estimator.feedthrough_2 * 2.0 > 100.0 * 1e-6
     firmware.reset(2.0)
     assert [firmware.step(2.0, y).fault_state for _ in range(5)] == [CLEAR] * 5
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("verdict", [Verdict.FORCE_LOST, Verdict.SENSOR_DRIFTING])
+def test_no_verdict_takes_away_the_compensation_on_d_hat(verdict):
+    """The verdict may be wrong, and d̂ the loss that is compensated."""
+    table = build(DESIGN, confirming(on_confirmation=False, noise_rms=0.01))
+    table, forces = changed(table, decision=NEVER)[0], []
+    for found in (Verdict.NOTHING, verdict):
+        state = controller.init(table)[0]
+        for k in range(200):
+            controller.step(table, state, 0.0, -0.2)
+            if k == 50 and found:
+                state.hypotheses.verdict = state.hypotheses.found = found
+            forces.append(float(state.command_2))
+    np.testing.assert_array_equal(forces[:200], forces[200:])
+    assert min(np.abs(forces[50:200])) > 100.0

@@ -11,28 +11,27 @@ from scipy import optimize, signal, stats
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
-from firmware_model.law.layout import Table
-from firmware_model.law.structs import FloatArray, Records
+from firmware_model.law.structs import FloatArray
 from firmware_model.law.supervision.candidate import likeliest, take_in
-from firmware_model.law.supervision.frozen import weigh_frozen
 from firmware_model.law.supervision.mismatch import innovation
 from firmware_model.law.supervision.signatures import BIAS_ROW, FORCE_ROW, begin_all
-from tests.firmware.law.cases import CAR, DESIGN, ROW, TICK_S, changed, other_cars, tick_on, weigh
+from tests.firmware.law.cases import (
+    CAR,
+    DESIGN,
+    ROW,
+    TICK_S,
+    other_cars,
+    repeat,
+    tick_on,
+    weigh,
+    with_one_onset,
+)
 
 TICKS = 60
 
 
-def tables_of(**changes: Any) -> Records[Table]:
-    target = Target(TICK_S, 1, "zoh", noise_rms=0.01, **changes)
-    never = {"restart": -math.inf, "lifetime": math.inf}
-    tables = changed(build(DESIGN, target))
-    for name, value in never.items():
-        tables[0].hypotheses.signatures.candidate[name] = value
-    return tables
-
-
-NO_CARS = tables_of()
-NO_CARS[0].mismatch.n = 0
+NO_CARS = with_one_onset()
+NO_CARS.mismatch.n = 0
 
 
 def filtered(table: Any, residual: FloatArray, x: FloatArray) -> tuple[FloatArray, Any]:
@@ -48,7 +47,7 @@ def filtered(table: Any, residual: FloatArray, x: FloatArray) -> tuple[FloatArra
 @pytest.mark.parametrize("noise_pole", [0.0, 0.6])
 def test_a_signature_is_what_the_fault_changes_in_the_innovations(noise_pole):
     """The filter is linear in d̂: with and without the fault its innovations differ by m f."""
-    table = tables_of(mismatch=other_cars(3), noise_pole=noise_pole)[0]
+    table = with_one_onset(mismatch=other_cars(3), noise_pole=noise_pole)
     draw = np.random.default_rng(3)
     n, size = int(table.mismatch.n), 0.7
     x = draw.standard_normal((TICKS, n))
@@ -76,7 +75,7 @@ def test_a_signature_is_what_the_fault_changes_in_the_innovations(noise_pole):
 @given(new=st.floats(0.1, 10.0), variance=st.floats(0.01, 1.0))
 def test_a_bias_jumps_in_the_tick_after_a_verdict_as_in_any_other(new, variance):
     """Its onset is that tick already, so it begins again or not as the last bit falls."""
-    table, state = NO_CARS[0], controller.init(NO_CARS[0])[0]
+    table, state = NO_CARS, controller.init(NO_CARS)[0]
     begin_all(state.hypotheses.signatures)
     state.mismatch.variance = variance
     weigh(table, state, new)
@@ -89,7 +88,7 @@ def test_evidence_is_the_likelihood_ratio_of_the_likeliest_size(seed, limits):
     draw = np.random.default_rng(seed)
     f, sigma = draw.standard_normal(12), draw.uniform(0.5, 2.0, 12)
     new = draw.uniform(-1, 1) * f + sigma * draw.standard_normal(12)
-    table, state = NO_CARS[0], controller.init(NO_CARS[0])[0]
+    table, state = NO_CARS, controller.init(NO_CARS)[0]
     own, bounds = (
         state.hypotheses.signatures.rows[FORCE_ROW].candidate,
         table.hypotheses.torque_lost,
@@ -112,16 +111,14 @@ def test_evidence_is_the_likelihood_ratio_of_the_likeliest_size(seed, limits):
 
 
 def test_where_nothing_is_known_the_size_is_none():
-    limits = tables_of()[0].hypotheses.signatures.rows[FORCE_ROW].limits
+    limits = with_one_onset().hypotheses.signatures.rows[FORCE_ROW].limits
     assert likeliest(3.0, 0.0, limits) == 0.0
     assert likeliest(-3.0, 1.0, limits) == limits.least == 0.5
 
 
 def test_what_each_fault_adds_to_the_estimate():
     """Against the step response of the continuous plant and a simulation by scipy's state space."""
-    tables = tables_of()
-    table, state = tables[0], controller.init(tables[0])[0]
-    table.mismatch.n = 0
+    table, state = NO_CARS, controller.init(NO_CARS)[0]
     own = state.hypotheses.signatures
     state.mismatch.variance = 1.0
     draw = np.random.default_rng(1)
@@ -153,22 +150,15 @@ def test_what_each_fault_adds_to_the_estimate():
 @pytest.mark.parametrize("moves", [False, True])
 def test_a_frozen_sensor_repeats_itself_while_the_model_moves(moves):
     """Then -ln of the chance of each repetition, and the likelihood of the missing motion."""
-    tables = tables_of(resolution=0.001)
-    table, state = tables[0], controller.init(tables[0])[0]
+    table = with_one_onset(resolution=0.001)
+    state = controller.init(table)[0]
     table.mismatch.n = 0
     own = state.hypotheses.frozen
     state.mismatch.variance = 0.02**2
     expected = 0.1 * np.arange(6) if moves else np.zeros(6)
     for k in range(6):
         state.measurement = 0.3
-        weigh_frozen(
-            table,
-            state.hypotheses.frozen,
-            state.mismatch,
-            state.measurement,
-            float(expected[k] - expected[0]),
-            float(expected[k]),
-        )
+        repeat(table, state, float(expected[k] - expected[0]), float(expected[k]))
     draw = np.random.default_rng(0).standard_normal((2, 400_000)) * 0.01
     chance = np.mean(np.diff(np.rint(draw / 0.001), axis=0) == 0.0)
     missing = expected[1:] - expected[0]
@@ -177,7 +167,7 @@ def test_a_frozen_sensor_repeats_itself_while_the_model_moves(moves):
     evidence = -5.0 * math.log(chance) + ratio.sum() if moves else 0.0
     assert own.evidence == pytest.approx(evidence, rel=0.02)
     state.measurement = 0.301
-    weigh_frozen(table, state.hypotheses.frozen, state.mismatch, state.measurement, 0.0, 0.0)
+    repeat(table, state, 0.0, 0.0)
     assert (own.repetitions, own.evidence) == (0.0, 0.0)
 
 
@@ -190,3 +180,4 @@ def test_a_repetition_says_nothing_without_noise_and_no_more_than_a_sensor_resol
 ):
     table = build(DESIGN, Target(TICK_S, 1, "zoh", noise_rms=noise_rms, resolution=resolution))
     assert table.hypotheses.frozen.repetition == pytest.approx(evidence)
+    assert math.isfinite(table.hypotheses.frozen.least_motion) == (evidence > 0.0)

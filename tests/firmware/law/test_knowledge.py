@@ -5,19 +5,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.analysis.sampled_plant import sample
 from firmware_model.design.continuous_design import DesignSpecification, design
-from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.supervision import knowledge
-from tests.firmware.law.cases import other_cars
+from tests.firmware.law.cases import CAR, TICK_S, Loop, other_cars
 
-TICK_S = 0.001
-PLANT = sample(steer_by_wire(), TICK_S)
+PLANT = Loop.plant
 
 
 def table_of(**changes: Any) -> Any:
@@ -29,51 +26,22 @@ def table_of(**changes: Any) -> Any:
         "noise_rms": 0.002,
     } | changes
     specification = DesignSpecification(tau_s=0.05, tau_q_s=0.02)
-    return build(design(steer_by_wire(), specification), Target(tick_s=TICK_S, **known))
+    return build(design(CAR, specification), Target(tick_s=TICK_S, **known))
 
 
 TABLE = table_of()
 
 
-class Loop:
-    """The model of the law with a sensor, in a sine; channel 1 works to a part."""
-
-    def __init__(self, working: float = 1.0, bias: float = 0.0, table: Any = TABLE) -> None:
-        self.table, self.working, self.bias = table, working, bias
-        self.firmware = Firmware(table)
-        self.state, self.acting, self.ticks = PLANT.rest, np.zeros(2), 0
-        self.noise = np.random.default_rng(3)
-
-    @property
-    def error(self) -> float:
-        return float(PLANT.c @ self.state) - self.reference
-
-    @property
-    def reference(self) -> float:
-        return float(np.sin(1.3 * self.ticks * TICK_S))
-
-    def run(self, ticks: int) -> list[Any]:
-        answers = []
-        for _ in range(ticks):
-            measured = float(PLANT.c @ self.state) + self.bias
-            measured += 0.002 * self.noise.standard_normal()
-            answers.append(self.firmware.step(self.reference, measured))
-            left = np.array([self.working, 1.0])
-            self.state = PLANT.phi @ self.state + PLANT.gamma @ (left * self.acting)
-            self.acting = np.array(answers[-1][:2])
-            self.ticks += 1
-        return answers
-
-    def restart(self, remembers: bool) -> None:
-        saved = self.firmware.saved()
-        self.firmware = Firmware(self.table)
-        self.firmware.begin()
-        assert self.firmware.restore(saved if remembers else b"") is remembers
+def restart(loop: Loop, remembers: bool) -> None:
+    saved = loop.firmware.saved()
+    loop.firmware = Firmware(TABLE)
+    loop.firmware.begin()
+    assert loop.firmware.restore(saved if remembers else b"") is remembers
 
 
 def lost(working: float = 0.0, at: int = 600, end: int = 3000, **changes: Any) -> Loop:
     """A loop with a confirmed loss since the tick ``at``, at the tick ``end``."""
-    loop = Loop(table=table_of(**changes) if changes else TABLE)
+    loop = Loop(table_of(**changes) if changes else TABLE, noise_rms=0.002)
     loop.run(at)
     loop.working = working
     answers = loop.run(end - at)
@@ -87,11 +55,11 @@ def test_a_known_loss_is_compensated_from_the_first_tick(working):
     largest = {}
     for remembers in (True, False):
         loop = lost(working)
-        loop.restart(remembers)
+        restart(loop, remembers)
         states, errors = [], []
         for _ in range(2000):
             states.append(loop.run(1)[0].fault_state)
-            errors.append(abs(loop.error))
+            errors.append(abs(loop.output - loop.reference))
         assert (states[0] == FaultState.CONFIRMED) is remembers
         largest[remembers] = max(errors)
         if remembers:
@@ -123,11 +91,11 @@ def test_the_steady_state_with_a_known_loss_repeats_its_commands(on_confirmation
 
 @pytest.mark.compiled
 def test_a_known_error_of_the_sensor_stays_known():
-    loop = Loop()
+    loop = Loop(TABLE, noise_rms=0.002)
     loop.run(500)
     loop.bias = 0.2
     assert loop.run(1500)[-1].verdict == Verdict.SENSOR_WRONG
-    loop.restart(remembers=True)
+    restart(loop, True)
     answers = loop.run(3000)
     assert {answer.verdict for answer in answers} == {Verdict.SENSOR_WRONG}
     assert FaultState.CONFIRMED not in {answer.fault_state for answer in answers}
@@ -137,11 +105,11 @@ def test_a_known_error_of_the_sensor_stays_known():
 
 @pytest.mark.compiled
 def test_the_car_stays_known():
-    loop = Loop()
+    loop = Loop(TABLE, noise_rms=0.002)
     loop.run(1000)
     known = loop.firmware._states[0].mismatch
     theta = known.theta.copy()
-    loop.restart(remembers=True)
+    restart(loop, True)
     state = loop.firmware._states[0]
     loop.firmware.step(np.nan, np.nan)
     controller.take_over(TABLE, state, 0.0, 0.0)
@@ -186,7 +154,7 @@ def test_saved_knowledge_ends_with_a_reset_and_outlives_ticks_without_inputs():
 
 
 def test_a_frozen_sensor_before_a_restart_says_nothing_of_the_sensor_after():
-    loop = Loop()
+    loop = Loop(TABLE, noise_rms=0.002)
     frozen = loop.run(200)[-1]
     firmware = loop.firmware
     for _ in range(80):

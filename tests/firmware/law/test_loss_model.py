@@ -14,7 +14,6 @@ from firmware_model.law import controller
 from firmware_model.law.core.biquad import output
 from firmware_model.law.core.estimator import advance_model
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import FloatArray
 from firmware_model.law.supervision.decision import restart_test
 from firmware_model.law.supervision.likelihood_ratio import advance_candidate, candidate_shown
 from firmware_model.law.supervision.loss_model import (
@@ -31,7 +30,7 @@ from firmware_model.law.supervision.loss_model import (
     take_over_candidate,
 )
 from firmware_model.law.supervision.whitener import whiten
-from tests.firmware.law.cases import CAR, DESIGN, TICK_S
+from tests.firmware.law.cases import CAR, DESIGN, TICK_S, late
 
 COMMANDS = np.cumsum(np.random.default_rng(1).standard_normal(30))
 LATENCIES = [0, 1, 3]
@@ -100,10 +99,6 @@ def test_behind_the_whitener_s_w_is_continuous_too(sign):
         assert fading + share * lost == pytest.approx(0.5 * old + sign * share * new, abs=1e-12)
         assert abs(fading) > 1e-9
         assert abs(lost) > 1e-9
-
-
-def late(w: FloatArray, latency: int) -> FloatArray:
-    return np.concatenate([np.zeros(latency), w])[: len(w)]
 
 
 @pytest.mark.parametrize("latency", LATENCIES)

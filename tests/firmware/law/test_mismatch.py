@@ -137,19 +137,6 @@ def test_what_is_not_finite_stays_in_no_memory():
         assert state.mismatch.remainder == 0.0
 
 
-def test_a_new_loss_begins_with_share_and_moment_unknown():
-    table = tables_of(2)[0]
-    state = controller.init(table)[0]
-    for command, model in zip(COMMANDS[:9], MODELLED, strict=False):
-        predict(table, state, command, model, 0.3, 0.2)
-        innovation(table.mismatch, state.mismatch, 0.1, 0.0, 0.0, 0.0)
-    before = state.mismatch.copy()
-    learn_loss(table.mismatch, state.mismatch, 0.09, 25.0)
-    assert state.mismatch.theta[:2].tolist() == [0.0, 0.0]
-    assert np.diag(covariance_of(state.mismatch))[:2].tolist() == [0.09, 25.0]
-    np.testing.assert_array_equal(state.mismatch.theta[2:], before.theta[2:])
-
-
 STILL = {"forgetting": 0.0, "growth": 0.0, "white": 0.0}
 
 

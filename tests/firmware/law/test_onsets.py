@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.supervision.candidate import has_failed, start, take_in
-from firmware_model.law.supervision.frozen import weigh_frozen
 from firmware_model.law.supervision.signatures import (
     BIAS_ROW,
     DRIFT_ROW,
@@ -20,14 +18,11 @@ from firmware_model.law.supervision.signatures import (
     OFFSET_ROW,
     answers_no_more,
 )
-from tests.firmware.law.cases import CAR, ROW, TICK_S, changed, tick_on, weigh
+from tests.firmware.law.cases import CAR, DESIGN, ROW, TICK_S, changed, repeat, tick_on, weigh
 
 pytestmark = pytest.mark.every_case  # a case each of few lines
 
-TABLE = build(
-    design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02)),
-    Target(TICK_S, 1, "zoh", noise_rms=0.01),
-)
+TABLE = build(DESIGN, Target(TICK_S, 1, "zoh", noise_rms=0.01))
 BELOW, ABOVE = math.nextafter(1.0, 0.0), math.nextafter(1.0, 2.0)
 LAGS = 0.05, 0.1, 0.05, 0.4, 0.05  # an M, as a section in δ has it
 
@@ -49,20 +44,11 @@ def test_what_is_predicted_is_told_with_the_size_of_the_tick_before():
     draw = np.random.default_rng(3)
     f, sigma = draw.standard_normal(12), draw.uniform(0.5, 2.0, 12)
     new = 0.7 * f + sigma * draw.standard_normal(12)
-    own, limits = (
-        state.hypotheses.signatures.rows[OFFSET_ROW].candidate,
-        table.hypotheses.signatures,
-    )
+    own = state.hypotheses.signatures.rows[OFFSET_ROW].candidate
+    limits = table.hypotheses.signatures.rows[OFFSET_ROW].limits
     for k in range(12):
         state.mismatch.variance = sigma[k] ** 2
-        take_in(
-            table.mismatch,
-            state.mismatch,
-            own,
-            limits.rows[OFFSET_ROW].limits,
-            float(f[k]),
-            float(new[k]),
-        )
+        take_in(table.mismatch, state.mismatch, own, limits, float(f[k]), float(new[k]))
     fitted = np.cumsum(f * new / sigma**2) / np.cumsum(f**2 / sigma**2)
     before = np.concatenate([[0.0], fitted[:-1]])
     predicted = stats.norm.logpdf(new, before * f, sigma) - stats.norm.logpdf(new, 0.0, sigma)
@@ -208,16 +194,14 @@ def test_a_repetition_tells_something_where_the_model_has_moved_by_more_than_the
     state.measurement = 0.3
     path = [start_at, start_at + far, start_at + moved]
     for expected in path:
-        weigh_frozen(
-            table, state.hypotheses.frozen, state.mismatch, state.measurement, 0.0, expected
-        )
+        repeat(table, state, 0.0, expected)
     missing = np.array([far, moved])
     ratio = stats.norm.logpdf(0.0, missing, 0.2) - stats.norm.logpdf(0.0, 0.0, 0.2)
     assert own.candidate.information == pytest.approx(missing @ missing / 0.04)
     assert own.evidence == pytest.approx(2 * 3.0 + ratio.sum() if tells else 0.0)
     fresh = controller.init(table)[0].hypotheses.frozen.candidate
     state.measurement = 0.31
-    weigh_frozen(table, state.hypotheses.frozen, state.mismatch, state.measurement, 0.0, 0.0)
+    repeat(table, state, 0.0, 0.0)
     assert own.candidate.tobytes() == fresh.tobytes()
 
 
@@ -229,8 +213,6 @@ def test_of_a_plant_that_is_not_stable_no_motion_is_missing():
     table.hypotheses.frozen.least_motion, table.hypotheses.frozen.repetition = 0.25, 3.0
     state.measurement = 0.3
     for expected in (0.0, 1.0, 2.0):
-        weigh_frozen(
-            table, state.hypotheses.frozen, state.mismatch, state.measurement, 0.5, expected
-        )
+        repeat(table, state, 0.5, expected)
     own = state.hypotheses.frozen
     assert (own.candidate.information, own.candidate.evidence, own.evidence) == (0.0, 0.0, 6.0)

@@ -5,8 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.discretisation.tables import build
-from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
 from firmware_model.law.core import biquad
 from firmware_model.law.structs import FloatArray
@@ -17,19 +15,9 @@ from firmware_model.law.supervision.sensor_error import (
     sensor_error_shown,
 )
 from firmware_model.law.supervision.signatures import BIAS_ROW, DRIFT_ROW, begin_all
-from tests.firmware.law.cases import DESIGN, ROW, TICK_S, changed, other_cars, tick_on, weigh
+from tests.firmware.law.cases import ROW, other_cars, tick_on, weigh, with_one_onset
 
 TICKS, FOUND = 60, 25
-
-
-def table_of(**changes: Any) -> Any:
-    """One whose hypotheses keep their onset."""
-    target = Target(TICK_S, 1, "zoh", noise_rms=0.01, **changes)
-    never = {"restart": -np.inf, "lifetime": np.inf}
-    table = changed(build(DESIGN, target))[0]
-    for name, value in never.items():
-        table.hypotheses.signatures.candidate[name] = value
-    return table
 
 
 def with_lags(table: Any) -> Any:
@@ -58,7 +46,7 @@ def filtered(table: Any, state: Any, residual: FloatArray, x: FloatArray) -> lis
 @pytest.mark.parametrize("name", ["sensor_biased", "sensor_drifting"])
 def test_what_follows_is_what_would_have_been_without_the_error(name, lags):
     """Innovations, θ and gains: the filter has forgotten the error, and gets none any more."""
-    table = table_of(mismatch=other_cars(3), noise_pole=0.6)
+    table = with_one_onset(mismatch=other_cars(3), noise_pole=0.6)
     if lags:
         table = with_lags(table)
     draw = np.random.default_rng(5)
@@ -108,7 +96,7 @@ def test_what_follows_is_what_would_have_been_without_the_error(name, lags):
     ],
 )
 def test_an_error_is_gone_where_less_than_half_is_left(sizes, gone):
-    table = table_of()
+    table = with_one_onset()
     state = controller.init(table)[0]
     biased = state.hypotheses.signatures.rows[BIAS_ROW]
     for size in sizes:
@@ -123,7 +111,7 @@ def test_an_error_is_gone_where_less_than_half_is_left(sizes, gone):
 @pytest.mark.parametrize("lags", [False, True])
 def test_an_error_that_ends_leaves_nothing(lags):
     """Known from FOUND on, ended at tick 40, found to be over there: from then on as without it."""
-    table, ends = table_of(mismatch=other_cars(3), noise_pole=0.6), 40
+    table, ends = with_one_onset(mismatch=other_cars(3), noise_pole=0.6), 40
     if lags:
         table = with_lags(table)
     draw = np.random.default_rng(5)
@@ -157,7 +145,7 @@ def test_an_error_that_ends_leaves_nothing(lags):
 
 
 def test_lags_of_these_tests_are_those_of_the_section():
-    table = with_lags(table_of())
+    table = with_lags(with_one_onset())
     memory, u = biquad.at_rest(), np.random.default_rng(1).standard_normal(30)
     m = table.estimator.measurement
     answers = [biquad.advance(m, memory, value) for value in u]

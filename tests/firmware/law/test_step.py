@@ -32,10 +32,12 @@ NAMES = ("command_1", "command_2", "fault_estimate", "mode", "fault_state")
 Columns = dict[str, NDArray[Any]]
 
 
-def run(table: Any, state: Any, measured: NDArray[Any] = MEASURED) -> Columns:
+def run(
+    table: Any, state: Any, measured: NDArray[Any] = MEASURED, given: NDArray[Any] = REFERENCE
+) -> Columns:
     """The law's answers tick by tick, and the calls of its parts."""
     rows = []
-    for reference, y in zip(REFERENCE, measured, strict=True):
+    for reference, y in zip(given, measured, strict=True):
         made_up = [
             make_up(table[f"shortfall_{i}"], table.estimator[f"channel_{i}"],
                     table[f"actuator_{i}"], state[f"shortfall_{i}"])
@@ -268,3 +270,50 @@ def test_c_tracks_the_shaped_reference_where_there_is_a_shaper():
         assert shaped.command_1 == followed.command_1 != 0.0
     assert 0.0 < shaped.reference_shaper.shaped < 1e-3
     assert followed.reference_shaper.shaped == 0.0
+
+
+# --- the thesis's law alone ----------------------------------------------------------------------
+
+
+def alone(target: Target, reference: NDArray[Any], measured: NDArray[Any]) -> Columns:
+    table = build(DESIGN, target)
+    return run(table, controller.init(table)[0], measured, reference)
+
+
+@pytest.mark.parametrize("latency", [0, 2])
+@pytest.mark.parametrize("rule", FEEDING)
+def test_alone_the_law_is_the_filters_of_chapter_3(rule, latency):
+    """u1 = Q (r - y + G1 u1), d̂ = G1 u1 + G2 u2 - y, u2 = r2 + F̂ d̂, each a filter of scipy."""
+    target = Target(TICK_S, latency, rule, supervised=False)
+    told, filters = alone(target, REFERENCE, MEASURED), discretise(DESIGN, target)
+    model_1 = through(filters.estimator_1, late(told["command_1"], latency))
+    model_2 = through(filters.estimator_2, late(told["command_2"], latency))
+    asked = through(filters.tracking, REFERENCE - MEASURED + model_1)
+    np.testing.assert_allclose(told["command_1"], asked, rtol=1e-9, atol=1e-9)
+    d_hat = model_1 + model_2 - MEASURED
+    np.testing.assert_allclose(told["fault_estimate"], d_hat, rtol=1e-9, atol=1e-9)
+    carried = through(filters.compensator, d_hat)
+    np.testing.assert_allclose(told["command_2"], carried, atol=1e-8 * np.abs(carried).max())
+    assert (told["mode"] == Mode.RUN).all()
+    assert (told["fault_state"] == FaultState.CLEAR).all()
+
+
+@pytest.mark.parametrize("which", ["reference", "measured"])
+def test_alone_a_missing_input_keeps_its_last_value(which):
+    given = {"reference": REFERENCE.copy(), "measured": MEASURED.copy()}
+    held = {name: values.copy() for name, values in given.items()}
+    given[which][HELD], held[which][HELD] = np.nan, held[which][HELD.start - 1]
+    target = Target(TICK_S, 1, "zoh", supervised=False)
+    told, expected = alone(target, **given), alone(target, **held)
+    for name in NAMES[:3]:
+        np.testing.assert_array_equal(told[name], expected[name])
+    assert np.flatnonzero(told["mode"] == Mode.BLIND).tolist() == [*range(20, 25)]
+
+
+def test_alone_an_overflow_holds_the_commands():
+    reference = REFERENCE.copy()
+    reference[20] = 1e308
+    told = alone(Target(TICK_S, supervised=False), reference, MEASURED)
+    assert told["mode"][20] == Mode.BLIND
+    assert told["command_1"][20] == told["command_1"][19]
+    assert math.isfinite(told["command_2"][20])

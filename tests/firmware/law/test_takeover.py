@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from firmware_model.analysis.sampled_plant import sample
 from firmware_model.design.continuous_design import DesignSpecification, design
-from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections, realisation
 from firmware_model.discretisation.tables import build
@@ -33,11 +31,8 @@ from firmware_model.law.supervision.takeover import (
     show_motion,
     wanted_level,
 )
-from tests.firmware.law.cases import other_cars
+from tests.firmware.law.cases import CAR, TICK_S, Loop, other_cars
 
-TICK_S = 0.001
-PLANT = sample(steer_by_wire(), TICK_S)
-FREQUENCY_RAD_PER_S = 1.3
 MEMORY = 50.0
 
 
@@ -49,7 +44,7 @@ def table_of(**changes: Any) -> Any:
         "mismatch": other_cars(2),
         "on_confirmation": True,
     } | changes
-    return build(design(steer_by_wire(), specification), Target(tick_s=TICK_S, **known))
+    return build(design(CAR, specification), Target(tick_s=TICK_S, **known))
 
 
 def model() -> tuple[np.ndarray, np.ndarray]:
@@ -58,44 +53,16 @@ def model() -> tuple[np.ndarray, np.ndarray]:
     return phi, c
 
 
-class Loop:
-    """A plant that somebody else moved so far, and a controller that begins."""
-
-    def __init__(self, firmware: Firmware, working: float = 1.0) -> None:
-        self.firmware, self.working = firmware, working
-        self.state, self.ticks = PLANT.rest, 0
-        self.acting = np.zeros(2)
-
-    def reference(self) -> float:
-        return float(np.sin(FREQUENCY_RAD_PER_S * self.ticks * TICK_S))
-
-    @property
-    def output(self) -> float:
-        return float(PLANT.c @ self.state)
-
-    def run(self, ticks: int, noise: float = 0.0) -> list[Any]:
-        rng, answers = np.random.default_rng(1), []
-        for _ in range(ticks):
-            measured = self.output + noise * rng.standard_normal()
-            answer = self.firmware.step(self.reference(), measured)
-            left = np.array([self.working, 1.0])
-            self.state = PLANT.phi @ self.state + PLANT.gamma @ (left * self.acting)
-            self.acting = np.array([answer.command_1, answer.command_2])
-            self.ticks += 1
-            answers.append(answer)
-        return answers
-
-
 def restarted(away: int, begins: int = 2000) -> tuple[Loop, float]:
     """A loop in a sine whose controller begins anew after ``away`` ticks without commands.
 
     Returns:
         The loop, and the largest torque before.
     """
-    loop = Loop(Firmware(table_of()))
+    loop = Loop(table_of())
     before = loop.run(begins)
     for _ in range(away):
-        loop.state = PLANT.phi @ loop.state
+        loop.state = Loop.plant.phi @ loop.state
         loop.ticks += 1
     loop.acting = np.zeros(2) if away else loop.acting
     loop.firmware = Firmware(table_of())
@@ -113,14 +80,14 @@ def test_the_car_comes_back_to_its_reference_and_nothing_is_called_a_fault(away,
     assert states <= {FaultState.CLEAR, FaultState.CANNOT_TELL}
     assert max(abs(answer.command_1) for answer in answers) < 2.0 * usual
     assert max(abs(answer.command_2) for answer in answers) == 0.0
-    assert abs(loop.output - loop.reference()) < 0.1  # the lag of C
+    assert abs(loop.output - loop.reference) < 0.1  # the lag of C
 
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("begins", [1500, 2000, 2500, 3000])
 def test_a_restart_within_a_tick_moves_the_car_little(begins):
     loop, usual = restarted(0, begins)
-    undisturbed = Loop(Firmware(table_of()))
+    undisturbed = Loop(table_of())
     undisturbed.run(begins)
     last = loop.acting[0]
     apart = []
@@ -150,7 +117,7 @@ def test_a_motor_that_died_before_is_found():
     loop.working = 0.0
     answers = loop.run(3000)
     assert answers[-1].fault_state == FaultState.CONFIRMED
-    assert abs(loop.output - loop.reference()) < 0.1
+    assert abs(loop.output - loop.reference) < 0.1
 
 
 def test_in_a_takeover_a_loss_needs_the_evidence_that_chance_gives_once_in_a_hundred():
@@ -174,15 +141,16 @@ def test_actuators_at_rest_are_met_at_rest():
     (answer,) = loop.run(1)
     assert abs(answer.command_1) < 0.01 * usual
     loop.run(3000)
-    assert abs(loop.output - loop.reference()) < 0.1
+    assert abs(loop.output - loop.reference) < 0.1
 
 
 @pytest.mark.compiled
 def test_a_plant_at_rest_is_not_taken_over():
     """The same bits as of a controller that is told so, noise or not."""
-    begun, told = (Loop(Firmware(table_of(noise_rms=0.01, resolution=0.001))) for _ in range(2))
+    table = table_of(noise_rms=0.01, resolution=0.001)
+    begun, told = (Loop(table, noise_rms=0.01) for _ in range(2))
     begun.firmware.begin()
-    assert begun.run(300, noise=0.01) == told.run(300, noise=0.01)
+    assert begun.run(300) == told.run(300)
 
 
 @pytest.mark.compiled
@@ -201,13 +169,10 @@ def test_an_output_that_is_lost_meanwhile_does_not_end_the_takeover():
     loop, usual = restarted(0)
     loop.run(40)
     for _ in range(40):
-        answer = loop.firmware.step(loop.reference(), np.nan)
-        loop.state = PLANT.phi @ loop.state + PLANT.gamma @ loop.acting
-        loop.acting = np.array([answer.command_1, answer.command_2])
-        loop.ticks += 1
+        loop.go_on(loop.firmware.step(loop.reference, np.nan))
     answers = loop.run(3000)
     assert max(abs(answer.command_1) for answer in answers) < 2.0 * usual
-    assert abs(loop.output - loop.reference()) < 0.1
+    assert abs(loop.output - loop.reference) < 0.1
 
 
 @given(st.floats(-9, 9), st.floats(-9, 9))

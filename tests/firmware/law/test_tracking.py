@@ -44,14 +44,6 @@ def test_it_is_q_over_one_less_q_times_the_delayed_model(latency, rule):
     np.testing.assert_allclose(ours, expected, atol=1e-9 * np.abs(expected).max())
 
 
-def test_with_tustin_s_rule_at_no_latency_it_is_tustin_s_c():
-    """Tustin of Q/(1 - Q G1) is Q/(1 - Q G1) of their Tustins."""
-    c = tustin(DESIGN.tracking.controller, TICK_S)
-    expected = signal.sosfilt(c.sos, np.eye(1, 200)[0])
-    ours = impulse_response(Target(TICK_S), 200)
-    np.testing.assert_allclose(ours, expected, atol=1e-8 * np.abs(expected).max())
-
-
 def limited(asked: FloatArray, limit: float, slew: float, lsb: float) -> FloatArray:
     """Each as near as its predecessor and the limits let it to what is asked and a make-up.
 

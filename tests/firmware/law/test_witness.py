@@ -11,18 +11,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.design.actuator_dynamics import IDEAL, behind
-from firmware_model.design.continuous_design import DesignSpecification, design
-from firmware_model.discretisation.tables import build
-from firmware_model.discretisation.targets import Reporting, Target, Witness
+from firmware_model.discretisation.targets import Witness
 from firmware_model.firmware import Answer, Firmware
 from firmware_model.law.status import FaultState, Mode, Verdict
 from firmware_model.law.supervision.echoes import KEPT_TICKS
-from tests.firmware.law.cases import CAR, TICK_S
-from tests.firmware.law.test_echoes import LAGS, Car, dead, honest, lying, working
+from tests.firmware.law.cases import TICK_S
+from tests.firmware.law.test_echoes import (
+    RMS,
+    Car,
+    dead,
+    honest,
+    lying,
+    table_of as table_with_echoes,
+    working,
+)
 from tests.firmware.scheduled import SPEEDS, TARGET as SCHEDULED, Blended, scheduled
 
-WEIGHT, SPEED_MPS, RMS, PERIOD = 0.3, 12.0, 0.005, 5
+WEIGHT, SPEED_MPS, PERIOD = 0.3, 12.0, 5
 WITNESS = Witness(WEIGHT, SPEED_MPS, noise_rms=RMS)
 FAULT, END = 150, 900
 
@@ -31,15 +36,7 @@ Error = Callable[[float, int], float]
 
 
 def table_of(witness: Witness | None = WITNESS, echoes: bool = False, **changes: Any) -> Any:
-    known = {"on_confirmation": True, "noise_rms": RMS, **changes}
-    reporting = Reporting(LAGS[0]), Reporting(LAGS[1])
-    target = Target(
-        TICK_S, 1, "zoh", echoes=reporting if echoes else None, witness=witness, **known
-    )
-    plant = behind(CAR, *LAGS, IDEAL)
-    return build(
-        design(plant, DesignSpecification(tau_s=0.002, alpha=4, tau_q_s=0.015, alpha_q=4)), target
-    )
+    return table_with_echoes(echoes=echoes, witness=witness, **changes)
 
 
 def right(y: float, _k: int) -> float:

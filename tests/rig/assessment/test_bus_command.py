@@ -9,10 +9,10 @@ import pytest
 from can_rig.assessment.bus_timing import PeriodicFrame, dbc_timing, latency_ticks, response_times
 from can_rig.assessment.frame_length import FrameError, worst_case_bits
 from can_rig.assessment.resolve import load
-from can_rig.errors import DbcError, ScenarioError
+from can_rig.errors import DbcError
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import draft
-from tests.helpers import asked, record
+from tests.helpers import asked, record, refuses, succeeded
 
 FOREIGN = """VERSION ""
 BS_:
@@ -134,10 +134,8 @@ def test_a_scenario_takes_its_latency_from_the_bus():
     ],
 )  # fmt: skip
 def test_a_bad_bus_is_one_line_that_names_the_key(settings, named):
-    with pytest.raises(ScenarioError) as caught:
+    with refuses(named):
         load("thesis-step", settings)
-    assert named in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_run_with_the_latency_of_the_bus_is_that_with_its_number(tmp_path):
@@ -166,8 +164,7 @@ def test_the_command_speaks_json_and_reads_any_dbc(foreign):
     one = json.loads(asked("bus", "thesis-step", "--json").stdout)
     assert (one["latency_ticks"], one["utilisation"], one["schedulable"]) == (1, 0.675, True)
     assert [frame["arrival_s"] for frame in one["frames"]][-1] == 0.000875
-    other = asked("bus", "--dbc", foreign, "--bitrate", 500_000, "--data-bitrate", 2_000_000)
-    assert other.returncode == 0
+    other = succeeded("bus", "--dbc", foreign, "--bitrate", 500_000, "--data-bitrate", 2_000_000)
     assert "0x18FEF1FE" in other.stdout
     assert "left out: ON_EVENT (no cycle time), TRANSPORT" in other.stdout
     full = json.loads(asked("bus", "--json", "--bitrate", "400000").stdout)

@@ -7,14 +7,10 @@ import pytest
 from scipy import linalg
 
 from can_rig.assessment.resolve import load
-from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import ScenarioError
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.without_bus import run_without_bus
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from tests.helpers import DBC
+from tests.helpers import DBC, on_a_bus, on_no_bus
 
 OUTPUTS = ([0.0, 1.0, 0.0, 0.0], [0.5, 0.0, 0.0, -2.0])
 SENSORS = (
@@ -29,8 +25,8 @@ def test_each_frame_says_the_row_of_the_states(tmp_path, settings):
     """The states follow from what the actuators apply and the world pushes, by the exponential."""
     scenario = load("two-masses", [SENSORS, "duration_s=3", "fault.at_s=1", *settings])
     logs = [tmp_path / "nodes.log", tmp_path / "none.log"]
-    run_in_process(scenario, "virtual:outputs", logs[0], StopRequest(), lambda _: None, PYTHON)
-    run_without_bus(scenario, logs[1], StopRequest(), lambda _: None)
+    on_a_bus(scenario, logs[0])
+    on_no_bus(scenario, logs[1])
     assert logs[0].read_bytes() == logs[1].read_bytes()
     network = network_of(scenario)
     signals = read_signals(logs[0], network, scenario.tick_s)

@@ -18,7 +18,7 @@ from can_rig.results.signals import read_signals
 from can_rig.scenario.build import continuous_plant, network_of
 from can_rig.thesis.comparisons import compare_scenario
 from firmware_model.law.status import FaultState
-from tests.helpers import asked, record
+from tests.helpers import asked, record, succeeded
 from tests.rig.by_numbers.plants import PLANTS, written
 
 
@@ -47,8 +47,7 @@ def test_a_run_is_what_scipy_makes_of_its_commands(tmp_path, name):
 
 def test_a_log_is_replayed_bit_for_bit_and_drawn_with_its_own_names(tmp_path):
     path = written(tmp_path, "aircraft")
-    done = asked("run", path, "--out", tmp_path / "run", "--set", "duration_s=8")
-    assert done.returncode == 0, done.stderr
+    done = succeeded("run", path, "--out", tmp_path / "run", "--set", "duration_s=8")
     assert "|elevator|, peak" in done.stdout and " rad\n" in done.stdout.replace("  ", "")
     again = asked("replay", tmp_path / "run")
     assert again.returncode == 0 and "identical, bit for bit" in again.stdout
@@ -66,8 +65,7 @@ def test_a_log_is_replayed_bit_for_bit_and_drawn_with_its_own_names(tmp_path):
 
 @pytest.mark.parametrize(("name", "first"), [("column", "reflux"), ("aircraft", "elevator")])
 def test_check_speaks_of_the_plant(tmp_path, name, first):
-    done = asked("check", written(tmp_path, name))
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = succeeded("check", written(tmp_path, name))
     words = " ".join(done.stdout.split())
     assert f"the loss of {first} in this drive is confirmed" in words
     for word in ("torque", "X_diff", "D*", "m/s²", "car"):
@@ -92,8 +90,7 @@ def test_tune_finds_the_least_peak_for_other_plants_of_the_box(tmp_path, monkeyp
     some: Sequence[Values] = [(0.01, 4, 0.056, 3), (0.047, 3, 0.1, 3), (0.0047, 3, 0.039, 2)]
     monkeypatch.setattr(search, "grid", lambda scenario: some)
     path = written(tmp_path, "two-masses")
-    done = asked("tune", path, "--json", "--out", tmp_path / "tuning")
-    assert done.returncode == 0, done.stderr
+    done = succeeded("tune", path, "--json", "--out", tmp_path / "tuning")
     values = json.loads(done.stdout)
     assert values["cars"] == 1 + 2**3
     assert "with force 1 lost, for the nominal plant and 8 around it" in values["why"]
@@ -128,8 +125,7 @@ def test_the_figures_of_a_scenario_are_those_of_its_continuous_loop(tmp_path):
     estimate, channel = lost.curves
     np.testing.assert_allclose(estimate.sampled, channel.sampled, atol=1e-6)
     assert loss.distance_after_loss(loss.curves[0]) < 0.02
-    done = asked("figures", path, "--out", tmp_path / "figures", "--set", "duration_s=6")
-    assert done.returncode == 0, done.stderr
+    succeeded("figures", path, "--out", tmp_path / "figures", "--set", "duration_s=6")
     assert {each.name for each in (tmp_path / "figures").iterdir()} == {
         "fig-healthy.png", "fig-lost.png", "fig-loss.png",
     }  # fmt: skip

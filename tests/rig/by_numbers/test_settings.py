@@ -9,12 +9,12 @@ import pytest
 
 from can_rig.assessment.resolve import load, load_run
 from can_rig.drawing.names import names_of
-from can_rig.errors import ScenarioError
 from can_rig.scenario.box import in_box, uncertain
 from can_rig.scenario.build import continuous_design, continuous_plant, network_of
 from can_rig.scenario.plant_settings import TransferFunction
 from firmware_model.design.plants import chapter_2
 from firmware_model.design.zpk import ZeroPoleGain
+from tests.helpers import refuses
 from tests.rig.by_numbers.plants import PLANTS, written
 
 OMEGA = np.geomspace(1e-3, 1e3, 40)
@@ -150,10 +150,8 @@ BUILT = {
 
 @pytest.mark.parametrize(("setting", "line"), BUILT.items(), ids=BUILT)
 def test_a_plant_that_no_design_exists_for_is_one_line(setting, line):
-    with pytest.raises(ScenarioError) as caught:
+    with refuses(line):
         continuous_design(load(CH2, [setting]))
-    assert line in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_zero_of_g1_in_the_right_half_plane_stays_in_the_closed_loop():

@@ -29,7 +29,7 @@ from can_rig.campaigns.workers import DEATHS, deaths_after, serially, versions
 from can_rig.errors import RigError, RunFolderError, ScenarioError, WorkersLostError
 from can_rig.results.metrics import Metrics, metrics_of
 from can_rig.scenario.settings import Scenario
-from tests.helpers import asked
+from tests.helpers import asked, succeeded
 from tests.rig.campaigns.running import SHORT, in_two_processes, planned, ran, rows
 
 FAR_CLUSTER = """
@@ -83,8 +83,7 @@ def test_every_row_can_be_repeated_to_the_bit(done, tmp_path):
     for row in rows(done)[::11]:
         words = shlex.split(row["command"])
         assert words[:2] == ["can-rig", "run"]
-        again = asked(*words[1:], "--json", "--out", tmp_path / str(row["run"]))
-        assert again.returncode == 0, again.stderr
+        again = succeeded(*words[1:], "--json", "--out", tmp_path / str(row["run"]))
         told = json.loads(again.stdout)["metrics"]
         assert {name: row[name] for name in METRICS} == told
         scenario = json.loads((tmp_path / str(row["run"]) / "run.json").read_text())["scenario"]
@@ -178,7 +177,6 @@ def test_ctrl_c_reaches_no_worker_and_no_fork_server_from_the_start_on(tmp_path)
 
 
 def test_workers_that_always_die_end_it_in_a_line(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
     (tmp_path / "deadly_car.py").write_text(
         "import os\nclass Deadly:\n    def __init__(self, settings):\n"
         f"        if os.getpid() != {os.getpid()}: os._exit(9)\n"
@@ -289,7 +287,6 @@ def test_a_cluster_that_is_not_there_is_one_line(arguments, line, tmp_path, monk
 
 
 def test_a_run_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
     (tmp_path / "brittle_car.py").write_text(CLASS_THAT_FAILS)
     axes = {"plant.mass_kg": {"values": [1300.0, 1500.0]}, "tick_s": {"values": [0.001, 1e-9]}}
     settings = {**SHORT["settings"], "plant.kind": "brittle_car:Brittle"}

@@ -93,8 +93,7 @@ def test_a_shipped_campaign_by_name(tmp_path):
         (["cars", "--out", ".."], "there already"),
     ],
 )
-def test_bad_input_is_one_line(arguments, line, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_bad_input_is_one_line(arguments, line, tmp_path):
     done = asked("campaign", *arguments)
     assert done.returncode == 2
     assert line in re.sub(r"\s+", " ", done.stderr)

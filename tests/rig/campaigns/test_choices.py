@@ -16,6 +16,7 @@ from can_rig.campaigns.settings import campaign_of, read_campaign, shipped
 from can_rig.campaigns.statistics import cross, parts_by_name
 from can_rig.errors import ScenarioError
 from can_rig.scenario.sensor_settings import MEASURED
+from tests.helpers import refuses
 
 OFFSET = {"kind": "actuator-offset", "offset": {"range": [10.0, 50.0], "either_sign": True}}
 LATE = {"kind": "actuator-late", "late_ticks": {"range": [0.01, 0.05], "per": "tick_s"}}
@@ -156,9 +157,8 @@ def test_a_grid_has_each_scenario_with_each_alternative_at_each_point():
     ],
 )  # fmt: skip
 def test_what_makes_no_campaign_is_named_in_a_line(values, line):
-    with pytest.raises(ScenarioError, match=re.escape(line)) as error:
+    with refuses(line):
         require_tables(planned(**values))
-    assert "\n" not in str(error.value)
 
 
 def test_a_campaign_begins_from_a_shipped_one(tmp_path):

@@ -1,7 +1,6 @@
 """What the runs of a campaign are: by their number and the campaign's seed, and nothing else."""
 
 import pickle
-import re
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from can_rig.campaigns.plan import plan
 from can_rig.campaigns.rows import requirements_of
 from can_rig.campaigns.settings import campaign_of, read_campaign, shipped
 from can_rig.errors import ScenarioError
+from tests.helpers import refuses
 
 MASS = {"plant.mass_kg": {"share": 0.2}}
 
@@ -155,9 +155,8 @@ def test_a_seed_of_one_s_own_stays():
     ],
 )  # fmt: skip
 def test_what_makes_no_campaign_is_named_in_a_line(values, line):
-    with pytest.raises(ScenarioError, match=re.escape(line)) as error:
+    with refuses(line):
         planned(**values)
-    assert "\n" not in str(error.value)
 
 
 def test_a_file_names_its_scenario_from_where_it_lies(tmp_path):

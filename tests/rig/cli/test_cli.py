@@ -1,6 +1,7 @@
 """The command line: help, exit statuses, and one line for whatever was wrong."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -8,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers import asked, rig, start
+from tests.helpers import asked, refused, rig, start
 
 RUN = ["run", "thesis-step", "--in-process", "--set", "duration_s=0.05"]
 
@@ -53,12 +54,7 @@ def test_what_is_wrong_is_one_line_with_exit_status_2(arguments, reason, tmp_pat
     (tmp_path / "file").write_text("")
     before = sorted(os.listdir(tmp_path))  # noqa: PTH208
     words = arguments if arguments[0].startswith("thesis") else ["thesis-step", *arguments]
-    done = asked("run", "--in-process", *words)
-    assert done.returncode == 2, done.stdout
-    (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
-    import re
-
-    assert re.search(reason, line)
+    assert re.search(reason, refused("run", "--in-process", *words))
     left = sorted(set(os.listdir(tmp_path)) - {"runs"})  # noqa: PTH208
     assert left == before
     assert not list(tmp_path.glob("runs/*"))  # a refused run leaves no folder
@@ -72,17 +68,13 @@ def test_what_is_wrong_is_one_line_with_exit_status_2(arguments, reason, tmp_pat
 )  # fmt: skip
 @pytest.mark.parametrize("node", ["plant", "controller"])
 def test_a_node_refuses_as_clearly(node, arguments, reason):
-    done = asked(node, "thesis-step", *arguments)
-    assert done.returncode == 2
-    assert reason in done.stderr
-    assert "Traceback" not in done.stderr
+    assert reason in refused(node, "thesis-step", *arguments)
 
 
 def test_a_log_that_cannot_be_written_is_one_line(tmp_path):
-    done = asked("plant", "--log", tmp_path / "no" / "bus.log", "--bus", f"local:{tmp_path / 'b'}")
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert "bus.log" in done.stderr
+    assert "bus.log" in refused(
+        "plant", "--log", tmp_path / "no" / "bus.log", "--bus", f"local:{tmp_path / 'b'}"
+    )
 
 
 def test_a_mistake_in_two_processes_is_one_line_and_leaves_no_folder(tmp_path):

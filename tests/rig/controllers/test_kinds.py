@@ -53,7 +53,6 @@ FILTERS = [
 @pytest.fixture
 def own(tmp_path, monkeypatch):
     """A folder of one's own, which imports look into; afterwards its modules are forgotten."""
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
     before = set(sys.modules)
     yield tmp_path

@@ -9,16 +9,12 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.controllers.making import controller_of
-from can_rig.errors import ScenarioError
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.frameless import frameless
 from can_rig.results.isolation import with_verdict
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from tests.helpers import DBC
+from tests.helpers import DBC, on_a_bus, on_no_bus, refuses
 
 MADE = (
     "plant.sensor.is_made=true", "plant.sensor.corner_hz=50", "design.alpha=4", "design.alpha_q=5",
@@ -35,10 +31,10 @@ def logged(folder: Path, scenario: Scenario, controller: str) -> Path:
     """A run's log; ``none`` is the rig's own law without a bus."""
     log = folder / f"{controller}.log"
     if controller == "none":
-        run_without_bus(scenario, log, StopRequest(), lambda _: None)
+        on_no_bus(scenario, log)
     else:
         law = controller_of(controller, scenario)
-        run_in_process(scenario, "virtual:made", log, StopRequest(), lambda _: None, law)
+        on_a_bus(scenario, log, law)
     return log
 
 
@@ -100,6 +96,5 @@ def test_a_wrong_sensor_is_a_wrong_output():
     ],
 )  # fmt: skip
 def test_what_cannot_be_made_is_refused(name, settings, said):
-    with pytest.raises(ScenarioError) as caught:
+    with refuses(said):
         load(name, [*MADE, *settings])
-    assert said in str(caught.value) and "\n" not in str(caught.value)

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
 
-from tests.helpers import asked
+from tests.helpers import asked, succeeded
 from tests.rig.decoding.databases import by_cantools
 
 DBC = """\
@@ -44,8 +44,7 @@ def log(tmp_path):
 
 def test_mcap_has_every_frame_as_json(log, tmp_path):
     out = tmp_path / "a.mcap"
-    done = asked("decode", log, "--dbc", log.with_suffix(".dbc"), "--out", out)
-    assert done.returncode == 0, done.stderr
+    succeeded("decode", log, "--dbc", log.with_suffix(".dbc"), "--out", out)
     with out.open("rb") as file:
         found = list(make_reader(file, validate_crcs=True).iter_messages(log_time_order=False))
     wanted = [
@@ -69,8 +68,7 @@ def test_mcap_has_every_frame_as_json(log, tmp_path):
 def test_words_of_a_bus_of_its_own(log, tmp_path):
     out = tmp_path / "a.mcap"
     database = f"can0={log.with_suffix('.dbc')}"
-    done = asked("decode", log, "--dbc", database, "--names", "--relative", "--out", out)
-    assert done.returncode == 0, done.stderr
+    succeeded("decode", log, "--dbc", database, "--names", "--relative", "--out", out)
     with out.open("rb") as file:
         found = list(make_reader(file).iter_messages(topics=["can0/STATE"]))
     assert [json.loads(m.data)["Mode"] for _, _, m in found[:3]] == ["off", 'on "now"', "2"]

@@ -5,9 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from can_rig.cli.main import main
+from tests.helpers import succeeded
 from tests.rig.export.shared import STRICT, run
 from tests.session import once
 
@@ -25,10 +24,8 @@ def built(tmp_path_factory):
     """The folder of an export after make, by a key of ``SCENARIOS``: gcc has warned of nothing."""
 
     def make(kind: str, folder: Path) -> None:
-        command = ["export", *SCENARIOS[kind], "--out", str(folder)]
-        done = CliRunner().invoke(main, command)
-        assert done.exit_code == 0, done.output
-        said = done.output.replace("\n", "")
+        done = succeeded("export", *SCENARIOS[kind], "--out", folder)
+        said = done.stdout.replace("\n", "")
         assert re.fullmatch(r".*: \d+ files, \d+ lines of C", said)
         run("make", "-s", "-C", folder, f"CFLAGS={' '.join(STRICT)} -O2", "example", "bench")
 

@@ -4,14 +4,17 @@ import ctypes
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Callable, Sequence
+from copy import copy
+from functools import cache, partial
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
+import can
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.ecus import HostEcu
 from can_rig.controllers.our_law import PYTHON
 from can_rig.controllers.protocol import Supplied
 from can_rig.export.application import application, in_precision
@@ -19,11 +22,13 @@ from can_rig.export.boards import COMPILER, EMULATOR
 from can_rig.export.compiler import WARNINGS, built
 from can_rig.export.law import numbers_of, support
 from can_rig.export.network_code import NetworkCode
+from can_rig.export.trials import random_frames
 from can_rig.frames.network import Network
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.lockstep import ControllerNode, EcuNode
+from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import Precision
+from tests.helpers import on_a_bus
 
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 EMULATED = pytest.mark.skipif(
@@ -49,11 +54,36 @@ def log_of(name: str, settings: Sequence[str], controller: Supplied = PYTHON) ->
 
 def log_from(scenario: Scenario, controller: Supplied = PYTHON) -> bytes:
     """The same of a scenario."""
-    ended = StopRequest()
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "bus.log"
-        run_in_process(scenario, "virtual:export", log, ended, lambda tick: None, controller)
+        on_a_bus(scenario, log, controller, "virtual:export")
         return log.read_bytes()
+
+
+def judged_alike(scenario: Scenario, host: Callable[[], HostEcu], seed: int) -> list[Any]:
+    """What the nodes in Python and in C reject of any frames, which they answer alike.
+
+    Of wrong ticks and lengths, repeated, damaged, missing, and of another kind.
+    """
+    network, sent = network_of(scenario), ([], [])
+
+    def kept(message: can.Message, into: list[object]) -> None:
+        kind = (message.arbitration_id, message.is_extended_id, message.is_fd)
+        into.append((*kind, bytes(message.data)))
+
+    nodes = (
+        ControllerNode(scenario, network, partial(kept, into=sent[0]), PYTHON),
+        EcuNode(scenario, network, partial(kept, into=sent[1]), host()),
+    )
+    for message in (each for tick in random_frames(network, seed) for each in tick):
+        other = copy(message)
+        other.is_extended_id ^= True
+        for frame in (other, message):
+            one, two = (node.take(frame) for node in nodes)
+            assert one == two
+    assert sent[0] == sent[1]
+    assert sent[0]
+    return [node.rejected() for node in nodes]
 
 
 FRAMES_DRIVER = """

@@ -17,10 +17,8 @@ from pathlib import Path
 
 import can
 import pytest
-from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
-from can_rig.cli.main import main
 from can_rig.controllers import CONTROLLERS, SERIAL, ecus
 from can_rig.controllers.compiled_law import CompiledLaw
 from can_rig.controllers.ecus import (
@@ -45,16 +43,15 @@ from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario.build import network_of
 from firmware_model.law.structs import record_type
 from firmware_model.law.supervision.knowledge import Saved
-from tests.rig.export.shared import EMULATED, log_of
+from tests import helpers
+from tests.rig.export.shared import EMULATED, judged_alike, log_of
 
 
 def refused(tmp_path: Path, *options: str) -> str:
     """The one line of a run that cannot start."""
-    command = ["run", "default", *options, "--out", str(tmp_path / "run")]
-    done = CliRunner().invoke(main, command)
-    assert done.exit_code == 2
+    line = helpers.refused("run", "default", *options, "--out", tmp_path / "run")
     assert not (tmp_path / "run").exists()
-    return str(done.stderr)
+    return line
 
 
 # --- the law -------------------------------------------------------------------------------------
@@ -100,8 +97,7 @@ def test_the_precision_is_the_scenario_s():
 
 def test_two_processes_run_the_c(tmp_path):
     command = ["run", "default", "--set", "duration_s=0.2", "--controller", "c"]
-    done = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "run")])
-    assert done.exit_code == 0, done.output
+    helpers.succeeded(*command, "--out", tmp_path / "run")
     found = (tmp_path / "run" / "bus.log").read_bytes()
     assert found == log_of("default", ["duration_s=0.2"])
 
@@ -119,8 +115,7 @@ REFUSED = {
 def test_a_compiler_that_refuses_is_one_line(compiler, said, tmp_path, monkeypatch):
     monkeypatch.setenv("CC", compiler)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    (line,) = refused(tmp_path, "--controller", "c").splitlines()
-    assert said in line
+    assert said in refused(tmp_path, "--controller", "c")
 
 
 @pytest.mark.parametrize("flag", ["finite-math-only", "unsafe-math-optimizations",
@@ -181,24 +176,11 @@ def test_an_emulated_board_sends_the_same_bytes(board, precision, kind):
     ids=["one speed", "blended", "one design", "further sensors"],
 )
 def test_any_frames_are_answered_and_judged_alike(name, chosen, heard):
-    """Wrong ticks, wrong lengths, repeated, damaged and missing frames, and a late start."""
+    """Also after a late start."""
     scenario = load(name, ["duration_s=1", *chosen])
-    network = network_of(scenario)
     library = host_library(scenario)
     for seed in range(4):
-        sent: list[list[tuple[int, bytes]]] = [[], []]
-        nodes = (
-            ControllerNode(scenario, network, lambda m, s=sent[0]: s.append(
-                (m.arbitration_id, bytes(m.data))), PYTHON),
-            EcuNode(scenario, network, lambda m, s=sent[1]: s.append(
-                (m.arbitration_id, bytes(m.data))), HostEcu(library)),
-        )  # fmt: skip
-        for message in (message for tick in random_frames(network, seed) for message in tick):
-            one, other = (node.take(message) for node in nodes)
-            assert one == other
-        assert sent[0] == sent[1]
-        assert len(sent[0]) > 0
-        rejected, expected = nodes[1].rejected(), nodes[0].rejected()
+        expected, rejected = judged_alike(scenario, lambda: HostEcu(library), seed)
         assert rejected == {name: expected[name] for name in rejected}  # C hears what the law does
         assert len(rejected) == heard
         assert all(rejected.values())
@@ -225,7 +207,7 @@ def test_an_emulated_board_counts_the_frames_of_the_speed():
 @pytest.mark.parametrize(("tool", "controller"), [(COMPILER, "arm:m4f"), (EMULATOR, "arm:m7")])
 def test_a_missing_tool_is_one_line(tool, controller, tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: "/" if name != tool else None)
-    (line,) = refused(tmp_path, "--controller", controller).splitlines()
+    line = refused(tmp_path, "--controller", controller)
     assert f"{tool} is not installed" in line
     assert "apt install" in line
 
@@ -465,9 +447,7 @@ def test_an_answer_that_is_none_is_one_line():
 
 
 def test_a_port_that_is_none_is_one_line(tmp_path):
-    (line,) = refused(
-        tmp_path, "--in-process", "--controller", f"{SERIAL}{tmp_path}/none"
-    ).splitlines()
+    line = refused(tmp_path, "--in-process", "--controller", f"{SERIAL}{tmp_path}/none")
     assert f"{tmp_path}/none: cannot be opened as a serial port" in line
 
 

@@ -8,10 +8,8 @@ import shutil
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
-from can_rig.cli.main import main
 from can_rig.export import evidence
 from can_rig.export.application import HEADER, application, exported, write
 from can_rig.export.boards import COMPILER, EMULATOR
@@ -34,6 +32,7 @@ from can_rig.scenario.build import network_of
 from firmware_model.law.layout import state_type, table_type
 from firmware_model.law.schedule import Constants, State
 from firmware_model.law.structs import record_type
+from tests.helpers import refused, succeeded
 from tests.rig.export.shared import EMULATED
 
 SCENARIO = load("default", ["duration_s=0.05", 'design.precision="float32"'])
@@ -147,8 +146,7 @@ def test_what_a_missing_tool_would_measure_is_named(missing, lost, tmp_path, mon
                          ("misra", "misra"), ("eva", "eva")):  # fmt: skip
         monkeypatch.setattr(evidence, name, lambda *of, answer=answer: RECORD[answer])
     command = ["export", "default", "--set", "duration_s=0.05", "--evidence", "--out"]
-    done = CliRunner().invoke(main, [*command, str(tmp_path / "out")])
-    assert done.exit_code == 0, done.output
+    succeeded(*command, tmp_path / "out")
     record = json.loads((tmp_path / "out" / "evidence.json").read_text(encoding="utf-8"))
     shown = (tmp_path / "out" / "evidence.html").read_text(encoding="utf-8")
     assert {part for part in NEEDS if record[part] is None} == lost
@@ -241,12 +239,10 @@ def test_a_campaign_must_have_the_exported_controller(tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text('runs = 3\n[axes]\n"model.mass_kg" = { share = 0.1 }\n', encoding="utf-8")
     command = ["export", "default", "--evidence", "--campaign", str(file), "--out"]
-    done = CliRunner().invoke(main, [*command, str(tmp_path / "out")])
-    assert done.exit_code == 2
-    assert "campaign mine: run 0: has a controller with other constants" in done.output
-    done = CliRunner().invoke(main, ["export", "default", "--campaign", "faults", "--out", "x"])
-    assert done.exit_code == 2
-    assert "--campaign: must come with --evidence" in done.output
+    line = refused(*command, tmp_path / "out")
+    assert "campaign mine: run 0: has a controller with other constants" in line
+    line = refused("export", "default", "--campaign", "faults", "--out", "x")
+    assert "--campaign: must come with --evidence" in line
 
 
 @EMULATED

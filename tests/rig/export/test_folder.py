@@ -7,10 +7,8 @@ import subprocess
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
-from can_rig.cli.main import main
 from can_rig.export.application import HEADER, exported, write
 from can_rig.export.c_files import WIDTH, constants_files
 from can_rig.export.compiler import built as compiled
@@ -19,6 +17,7 @@ from can_rig.export.trials import random_table
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
 from firmware_model.firmware import Firmware
+from tests.helpers import asked, refused
 from tests.rig.export.conftest import SCENARIOS
 from tests.rig.export.shared import PRECISIONS, STRICT, run
 
@@ -173,10 +172,8 @@ def test_force_writes_over_an_export_and_keeps_what_else_is_there(tmp_path):
     made.mkdir()  # an empty folder is as good as none
     write({HEADER: "old", "law.c": "old"}, made, force=False)
     (made / "can_driver.c").write_text("mine")
-    command = ["export", "default", "--out", str(made)]
-    done = CliRunner().invoke(main, command)
-    assert done.exit_code == 2
-    assert "--force" in done.stderr
-    assert CliRunner().invoke(main, [*command, "--force"]).exit_code == 0
+    command = ["export", "default", "--out", made]
+    assert "--force" in refused(*command)
+    assert asked(*command, "--force").returncode == 0
     found = {path.name: path.read_text() for path in made.iterdir()}
     assert found == exported(load("default", [])) | {"law.c": "old", "can_driver.c": "mine"}

@@ -5,9 +5,8 @@ import re
 import shutil
 
 import pytest
-from click.testing import CliRunner
 
-from can_rig.cli.main import main
+from tests.helpers import refused, succeeded
 from tests.rig.export.shared import STRICT, run
 
 EXPORTS = {
@@ -81,8 +80,7 @@ def place(tmp_path_factory):
     for prefix, scenario in EXPORTS.items():
         for name, options in ((prefix, ["--prefix", prefix]), (f"alone-{prefix}", [])):
             out = folder / name
-            done = CliRunner().invoke(main, ["export", *scenario, *options, "--out", str(out)])
-            assert done.exit_code == 0, done.output
+            succeeded("export", *scenario, *options, "--out", out)
             flags = f"CFLAGS={' '.join(STRICT)} -O0"
             run("make", "-s", "-C", out, flags, "example", *(["bench", "check"] if options else []))
     return folder
@@ -160,8 +158,6 @@ def test_cmake_takes_both_into_one_project(place, tmp_path):
 
 @pytest.mark.parametrize("prefix", ["", "2nd", "Front", "a-b", "a b"])
 def test_another_prefix_is_refused(prefix, tmp_path):
-    command = ["export", "default", "--prefix", prefix, "--out", str(tmp_path / "out")]
-    done = CliRunner().invoke(main, command)
-    assert done.exit_code == 2
-    assert f"--prefix {prefix!r}: must have lower-case letters, digits and _" in done.stderr
+    line = refused("export", "default", "--prefix", prefix, "--out", tmp_path / "out")
+    assert f"--prefix {prefix!r}: must have lower-case letters, digits and _" in line
     assert not (tmp_path / "out").exists()

@@ -6,13 +6,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 import firmware_model
 from can_rig.assessment.resolve import load
-from can_rig.cli.main import main
 from can_rig.export.application import application, exported, identity
 from can_rig.export.provenance import MANIFEST
+from tests.helpers import succeeded
 from tests.rig.export.shared import run
 
 PROJECT = Path(firmware_model.__file__).parents[1]
@@ -29,8 +28,7 @@ def test_the_scenario_in_the_folder_gives_the_folder_again(name, tmp_path):
     settings = [part for each in WRITTEN[name] for part in ("--set", each)]
     first, again = tmp_path / "first", tmp_path / "again"
     for source, out in (([name, *settings], first), ([str(first / f"{name}.toml")], again)):
-        done = CliRunner().invoke(main, ["export", *source, "--out", str(out)])
-        assert done.exit_code == 0, done.output
+        succeeded("export", *source, "--out", out)
     assert {each.name: each.read_bytes() for each in first.iterdir()} == {
         each.name: each.read_bytes() for each in again.iterdir()
     }

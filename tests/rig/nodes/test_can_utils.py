@@ -22,7 +22,7 @@ from can_rig.nodes.runner import run_plant
 from can_rig.results.run_folder import LOG, SUMMARY
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from tests.helpers import DBC, NAMES, asked, record
+from tests.helpers import DBC, NAMES, record, succeeded
 from tests.vcan import PATIENT, TIMEOUT_S, beside, frames, on_two_buses, tool
 
 pytestmark = pytest.mark.vcan
@@ -55,8 +55,7 @@ def live(tmp_path_factory):
     words = [word for setting in settings for word in ("--set", setting)]
     with beside(*CANDUMP, "-n", 2500, cwd=folder) as heard:
         words += ["--allow-unstable"]  # it is stable, and to see that takes long in the guest
-        done = asked("run", "ideal", *words, "--bus", BUS, "--out", folder / "run")
-        assert done.returncode == 0, done.stderr
+        succeeded("run", "ideal", *words, "--bus", BUS, "--out", folder / "run")
         heard.wait(TIMEOUT_S)
     (candump,) = folder.glob("candump-*.log")
     return folder / "run", candump, settings

@@ -13,9 +13,7 @@ from can_rig.controllers.protocol import Answer, InNode, Inputs
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.operator_frames import Command, taken_message
 from can_rig.logs.reading import read_log
-from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.lockstep import ControllerNode
-from can_rig.nodes.runner import run_in_process
 from can_rig.panel.live import HOLD, LiveSignals
 from can_rig.plant.frameless import frameless
 from can_rig.replaying.replay import OpenLoop
@@ -25,7 +23,7 @@ from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import speeds_at_ticks
 from firmware_model.firmware import PYTHON_LAW
-from tests.helpers import asked, decoded
+from tests.helpers import asked, decoded, on_a_bus, succeeded
 
 DRIVE = (
     "duration_s=0.6", "drive.ramps=[[0.0, 10.0], [0.5, 13.0]]", "reference.kind=sine",
@@ -40,7 +38,7 @@ QUICK = ("--in-process", "--allow-unstable")  # nothing is looked at before the 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     path = tmp_path_factory.mktemp("drive") / "bus.log"
-    run_in_process(SCENARIO, "virtual:drive", path, StopRequest(), lambda tick: None, PYTHON)
+    on_a_bus(SCENARIO, path)
     return path
 
 
@@ -86,14 +84,10 @@ def test_report_and_panel_show_it(log):
 
 
 def test_the_law_in_c_and_the_loop_without_a_bus_leave_the_same(log, tmp_path):
-    law = controller_of("c", SCENARIO)
-    whole = controller_of("ecu", SCENARIO)  # the node in C, with its receive rules
-    own = tmp_path / "ecu.log"
-    run_in_process(SCENARIO, "virtual:ecu", own, StopRequest(), lambda tick: None, controller=whole)
-    assert own.read_bytes() == log.read_bytes()
-    own = tmp_path / "c.log"
-    run_in_process(SCENARIO, "virtual:c", own, StopRequest(), lambda tick: None, controller=law)
-    assert own.read_bytes() == log.read_bytes()
+    for kind in ("c", "ecu"):  # the law, and the node in C with its receive rules
+        own = tmp_path / f"{kind}.log"
+        on_a_bus(SCENARIO, own, controller_of(kind, SCENARIO))
+        assert own.read_bytes() == log.read_bytes()
     trace = frameless(SCENARIO, NETWORK)
     assert trace.fault_state[-1] == 2
     assert (
@@ -190,18 +184,15 @@ def test_what_if_repeats_a_drive(tmp_path):
     settings = [f"--set={each}" for each in DRIVE]
     assert asked("run", "default", *settings, *QUICK, "--out", folder).returncode == 0
     again = tmp_path / "again"
-    done = asked("replay", folder, "--what-if", "--allow-unstable", "--out", again)
-    assert done.returncode == 0, done.stderr
+    succeeded("replay", folder, "--what-if", "--allow-unstable", "--out", again)
     assert (again / "bus.log").read_bytes() == (folder / "bus.log").read_bytes()
     assert "speed_mps" in (folder / "signals.csv").read_text().splitlines()[0]
-    shown = asked("decode", folder / "bus.log", "--out", tmp_path / "decoded.csv")
-    assert shown.returncode == 0, shown.stderr
+    succeeded("decode", folder / "bus.log", "--out", tmp_path / "decoded.csv")
     assert "VehicleSpeed" in (tmp_path / "decoded.csv").read_text().splitlines()[0]
 
 
 def test_a_drive_by_the_wall_clock(tmp_path):
     settings = [f"--set={each}" for each in (*DRIVE, "tick_s=0.005", "latency_ticks=2")]
-    done = asked("run", "default", *settings, "--realtime", "--out", tmp_path / "run")
-    assert done.returncode == 0, done.stderr
+    done = succeeded("run", "default", *settings, "--realtime", "--out", tmp_path / "run")
     assert "VEHICLE_SPEED" not in done.stderr
     assert len((tmp_path / "run" / "signals.csv").read_text().splitlines()) == 121

@@ -13,9 +13,11 @@ from can_rig.nodes.runner import run_in_process
 from tests.helpers import record
 
 TICKS, A_TICK = 300, 50
+OWN = 0x100, 0x101, 0x110, 0x111, 0x120
 
 
 def test_a_flood_changes_no_command_and_is_in_the_log_to_the_last_frame(tmp_path):
+    """Of data, extended and remote frames of the rig's own identifiers and of others."""
     rng = random.Random(7)
     bus, log = f"local:{tmp_path / 'bus'}", tmp_path / "flooded.log"
     settings = [f"duration_s={TICKS / 1000}"]
@@ -24,13 +26,18 @@ def test_a_flood_changes_no_command_and_is_in_the_log_to_the_last_frame(tmp_path
 
         def flood(_tick):
             for _ in range(A_TICK):
+                kind = rng.choice(("data", "data", "extended", "remote"))
                 message = can.Message(
-                    arbitration_id=rng.choice((rng.getrandbits(11), 0x101, 0x110, 0x120)),
-                    is_extended_id=False,
-                    data=rng.randbytes(rng.choice((0, 3, 8, 8))),
+                    arbitration_id=rng.choice((rng.getrandbits(11), *OWN)),
+                    is_extended_id=kind == "extended",
+                    is_remote_frame=kind == "remote",
+                    dlc=8 if kind == "remote" else None,
+                    data=None if kind == "remote" else rng.randbytes(rng.choice((0, 3, 8, 8))),
                 )
                 other.send(message)
-                sent.append(f"{message.arbitration_id:03X}#{message.data.hex().upper()} R")
+                name = f"{message.arbitration_id:0{8 if kind == 'extended' else 3}X}"
+                content = "R" if kind == "remote" else message.data.hex().upper()
+                sent.append(f"{name}#{content} R")
 
         scenario = load("thesis-step", settings)
         summary = run_in_process(scenario, bus, log, StopRequest(), flood, PYTHON)
@@ -45,7 +52,7 @@ def test_a_flood_changes_no_command_and_is_in_the_log_to_the_last_frame(tmp_path
     assert len(lines) == len(wanted + sent)
     judged = lines[: lines.index(wanted[-1])]  # what came after the last status was not
     for name, identifier in (("STEER_TORQUE_CMD", "110#"), ("CONTROLLER_STATUS", "120#")):
-        foreign = sum(line.startswith(identifier) for line in judged)
+        foreign = sum(line.startswith(identifier) and "#R" not in line for line in judged)
         ours = sum(line.startswith(identifier) for line in wanted[:-1])
         assert sum(summary.rejected_frames[name].values()) == foreign - ours > 0
     assert summary.bus_events == {}

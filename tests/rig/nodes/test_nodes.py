@@ -11,7 +11,6 @@ from can_rig.frames.codec import Transmitter
 from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
 from can_rig.nodes.lockstep import ControllerNode, PlantNode
 from can_rig.nodes.recording import Recorder
-from can_rig.nodes.runner import run_in_process
 from can_rig.scenario.build import network_of
 from tests.helpers import NAMES, decoded, record
 from tests.rig.nodes.world import LSB, dstar_under
@@ -74,43 +73,6 @@ def test_the_tick_counts_on_where_its_sixteen_bits_wrap():
 
 
 # --- what a frame of someone else does ---------------------------------------------------------
-
-
-def run_with_intruder(tmp_path, frames, settings=SHORT):
-    """A run on whose bus a third node sends ``frames`` before every tick."""
-    scenario, log = load("thesis-step", settings), tmp_path / f"{len(frames)}.log"
-    with open_bus("virtual:intruder") as intruder:
-        for frame in frames:
-            intruder.send(frame)
-
-        def on_tick(_tick):
-            for frame in frames:
-                intruder.send(frame)
-
-        run_in_process(scenario, "virtual:intruder", log, StopRequest(), on_tick, PYTHON)
-    return sent_by_the_plant(log)
-
-
-def sent_by_the_plant(log):
-    """D* as the plant node itself sent it."""
-    sent = [f for f in can.LogReader(log) if f.arbitration_id == 0x101 and not f.is_rx]
-    return [int.from_bytes(f.data[4:], "little", signed=True) for f in sent]
-
-
-def test_frames_of_another_sender_change_nothing(tmp_path):
-    """Wrong checksum, wrong length, remote, extended: none disturbs the loop."""
-    frames = [
-        can.Message(arbitration_id=number, **{"is_extended_id": False, **kind})
-        for number in (0x101, 0x110, 0x111, 0x120, 0x123)
-        for kind in (
-            {"data": bytes(8)},
-            {"data": b"123"},
-            {"is_remote_frame": True, "dlc": 8},
-            {"is_extended_id": True, "data": bytes(8)},
-        )
-    ]
-    short = ["duration_s=0.05"]
-    assert run_with_intruder(tmp_path, frames, short) == run_with_intruder(tmp_path, [], short)
 
 
 @pytest.mark.parametrize("forged", ["reference", "feedback", "both"])

@@ -13,7 +13,6 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
-from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import RigError
 from can_rig.frames import operator_frames
 from can_rig.frames.operator_frames import Command
@@ -21,10 +20,11 @@ from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.interaction import Interaction
 from can_rig.nodes.operating import done, operate, touches
-from can_rig.nodes.runner import run_controller, run_in_process, run_plant
+from can_rig.nodes.runner import run_controller, run_plant
 from can_rig.scenario.build import network_of
 from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
+from tests.helpers import on_a_bus
 from tests.vcan import PATIENT, TIMEOUT_S
 
 TOLD = (
@@ -133,13 +133,10 @@ def frames_fail_as_in_a_scenario(
     assert [(each.kind, each.place) for each in what.faults] == [
         (command.kind, command.place) for command in commands if command.action == "INJECT"
     ]
-    run_in_process(what, "virtual:scheduled", other, StopRequest(), lambda _: None, PYTHON)
+    on_a_bus(what, other)
     assert sent(log) == sent(other)
     again = tmp_path / "again.log"
-    run_in_process(
-        scenario, "virtual:again", again, StopRequest(), lambda _: None, PYTHON,
-        interaction=Interaction(injectable=True, told=told),
-    )  # fmt: skip
+    on_a_bus(scenario, again, interaction=Interaction(injectable=True, told=told))
     assert again.read_bytes() == log.read_bytes()
     _, *ours = operator_frames.identifiers()
     assert not [each for each in ours if f" {each:03X}#" in log.read_text()]

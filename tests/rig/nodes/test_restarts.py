@@ -24,7 +24,7 @@ from can_rig.scenario.fault_settings import FaultSettings, Outage, outages
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 from firmware_model.law.status import FaultState
-from tests.helpers import asked
+from tests.helpers import succeeded
 
 COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 ARM = pytest.mark.skipif(
@@ -162,8 +162,7 @@ def test_a_restart_is_the_start_of_a_fresh_controller():
 @pytest.mark.parametrize("name", ["two", "drive", "to the end"])
 def test_a_replay_of_a_restart_is_identical(name, tmp_path):
     log_of(CASES[name], tmp_path / "run")
-    said = asked("replay", tmp_path / "run")
-    assert said.returncode == 0, said.stdout + said.stderr
+    said = succeeded("replay", tmp_path / "run")
     assert "missing" not in said.stdout and "counter jump" not in said.stdout
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.controllers.making import controller_of
-from can_rig.controllers.our_law import PYTHON
 from can_rig.frames import operator_frames
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.operator_frames import Command, command_message, taken_message
@@ -19,10 +18,10 @@ from can_rig.nodes.ends import PlantEnd
 from can_rig.nodes.interaction import Interaction
 from can_rig.nodes.operating import Touch, done, touches
 from can_rig.nodes.run_control import FollowedFaults, RunControl
-from can_rig.nodes.runner import run_in_process
 from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.build import network_of
 from tests.clock import TurnedClock
+from tests.helpers import on_a_bus
 
 SETTINGS = ("duration_s=0.3", "fault.kind=none")
 FRAMES = 5  # of a tick
@@ -42,11 +41,8 @@ def touched(
         for number, (after, command) in enumerate(commands)
     )
     log = folder / f"{len(list(folder.glob('*.log')))}.log"
-    summary = run_in_process(
-        scenario, "virtual:touched", log, StopRequest(), lambda _: None,
-        controller_of(controller, scenario), interaction=Interaction(injectable=True, told=told),
-    )  # fmt: skip
-    return log, scenario, summary
+    chosen, interaction = controller_of(controller, scenario), Interaction(True, told=told)
+    return log, scenario, on_a_bus(scenario, log, chosen, interaction=interaction)
 
 
 def frames(log: Path) -> list[str]:
@@ -88,7 +84,7 @@ def test_an_injected_fault_is_that_of_a_scenario_from_the_next_tick_on(
     keys += [] if kind.startswith("sensor") else [f"channel={place}"]
     same = load("ideal", [*SETTINGS, "fault.at_s=0.101", *(f"fault.{each}" for each in keys)])
     other = tmp_path / "scheduled.log"
-    run_in_process(same, "virtual:scheduled", other, StopRequest(), lambda _: None, PYTHON)
+    on_a_bus(same, other)
     assert frames(log) == frames(other)
     ours, scheduled = columns(tmp_path / "0.plant.csv"), columns(tmp_path / "scheduled.plant.csv")
     assert {name: ours[name] for name in scheduled} == scheduled
@@ -121,7 +117,7 @@ def test_the_world_pushes_from_the_next_tick_on_until_it_is_cleared(
     injected = done(scenario, touches(read_log(log), network_of(scenario))).scenario
     assert injected.disturbances == same.disturbances
     other = tmp_path / "scheduled.log"
-    run_in_process(same, "virtual:scheduled", other, StopRequest(), lambda _: None, PYTHON)
+    on_a_bus(same, other)
     ours, scheduled = columns(tmp_path / "0.plant.csv"), columns(tmp_path / "scheduled.plant.csv")
     assert ours.keys() == scheduled.keys()
     for column, values in scheduled.items():
@@ -204,10 +200,7 @@ def test_the_log_of_a_touched_run_gives_the_same_log_again(tmp_path):
     told = tuple(touches(read_log(log), network_of(scenario)))
     assert [touch.after for touch in told] == [after for after, _ in commands]
     again = tmp_path / "again.log"
-    run_in_process(
-        scenario, "virtual:again", again, StopRequest(), lambda _: None, PYTHON,
-        interaction=Interaction(injectable=True, told=told),
-    )  # fmt: skip
+    on_a_bus(scenario, again, interaction=Interaction(injectable=True, told=told))
     assert again.read_bytes() == log.read_bytes()
 
 

@@ -17,8 +17,6 @@ from can_rig.errors import RigError
 from can_rig.frames.codec import COUNTERS, Transmitter
 from can_rig.frames.frame_columns import payloads, quantised
 from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant import in_windows
 from can_rig.results.execution import NO_BUS, Options, execute
 from can_rig.results.signals import read_signals
@@ -27,6 +25,8 @@ from can_rig.scenario.loading import draft
 from can_rig.scenario.sensor_settings import MEASURED
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import Verdict
+from tests.helpers import on_a_bus, on_no_bus
+from tests.rig.plant.failing import FAILING
 from tests.rig.replay.recorded import DRIVES, log_of, scenario_of
 
 VALUES = (
@@ -57,16 +57,6 @@ CASES = [
     ("thesis-step", ["tick_s=0.0004", "duration_s=2e-3", "fault.kind=none"]),
     ("ideal", ["duration_s=0.001", "fault.kind=none"]),
 ]  # fmt: skip
-FAILING = """
-class Failing:
-    def __init__(self, settings): self.reset()
-    def reset(self): self.calls = 0
-    def advance(self, dt_s, torque_nm, force_difference_n):
-        self.calls += 1
-        if self.calls > 150: raise RuntimeError("stuck")
-        return 1e-4 * self.calls
-    def signals(self): return {"calls": self.calls}
-"""
 TIMES = ("bus", "wall_s", "ticks_per_s", "real_time_factor")
 
 
@@ -118,13 +108,10 @@ def test_the_folder_is_that_of_both_nodes(name, changes, tmp_path):
 )  # fmt: skip
 def test_any_sensors_send_the_frames_of_both_nodes(sensors, more):
     scenario = draft("sensed", {"duration_s": 0.15, "sensor": sensors, **more}).scenario
-    on_a_bus = PEER if "controller" in more else PYTHON
+    controller = PEER if "controller" in more else PYTHON
     with TemporaryDirectory() as where:
         logs = [Path(where, name) for name in ("a.log", "b.log")]
-        ours = run_without_bus(scenario, logs[0], StopRequest(), lambda tick: None)
-        theirs = run_in_process(
-            scenario, "virtual:sensed", logs[1], StopRequest(), lambda tick: None, on_a_bus
-        )
+        ours, theirs = on_no_bus(scenario, logs[0]), on_a_bus(scenario, logs[1], controller)
         for suffix in (".log", ".plant.csv"):
             one, other = (log.with_suffix(suffix).read_bytes() for log in logs)
             assert one == other
@@ -136,7 +123,7 @@ def test_any_sensors_send_the_frames_of_both_nodes(sensors, more):
 def test_the_log_is_the_recorded_drive(name, tmp_path):
     """But for a few steps of a signal: linear algebra rounds otherwise on another processor."""
     log, scenario = tmp_path / "bus.log", scenario_of(name)
-    run_without_bus(scenario, log, StopRequest(), lambda tick: None)
+    on_no_bus(scenario, log)
     network = network_of(scenario)
     ours, recorded = (read_signals(path, network, scenario.tick_s) for path in (log, log_of(name)))
     for column, lsb in (
@@ -147,19 +134,13 @@ def test_the_log_is_the_recorded_drive(name, tmp_path):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=10 * lsb, err_msg=column)
 
 
-def test_a_plant_that_fails_leaves_what_was_sent_by_then(tmp_path, monkeypatch):
-    (tmp_path / "car_that_gets_stuck.py").write_text(FAILING)
-    monkeypatch.chdir(tmp_path)
-    scenario = load("default", ["plant.kind=car_that_gets_stuck:Failing", "duration_s=0.3"])
+def test_a_plant_that_fails_leaves_what_was_sent_by_then(tmp_path):
+    scenario = load("default", [FAILING, "plant.parameters.calls=150", "duration_s=0.3"])
     logs, reasons = [tmp_path / "a.log", tmp_path / "b.log"], []
-    with pytest.raises(RigError, match="stuck") as reason:
-        run_without_bus(scenario, logs[0], StopRequest(), lambda tick: None)
-    reasons.append(str(reason.value))
-    with pytest.raises(RigError, match="stuck") as reason:
-        run_in_process(
-            scenario, "virtual:failing", logs[1], StopRequest(), lambda tick: None, PYTHON
-        )
-    reasons.append(str(reason.value))
+    for run, log in zip((on_no_bus, on_a_bus), logs, strict=True):
+        with pytest.raises(RigError, match="stuck") as reason:
+            run(scenario, log)
+        reasons.append(str(reason.value))
     assert reasons[0] == reasons[1]
     for suffix in (".log", ".plant.csv"):
         ours, theirs = (log.with_suffix(suffix).read_bytes() for log in logs)

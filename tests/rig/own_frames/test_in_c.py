@@ -3,34 +3,35 @@
 import ctypes
 import math
 import re
-from copy import copy
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 
-import can
 import cantools
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import Phase, given, settings, strategies as st
 
 from can_rig.assessment.resolve import load
-from can_rig.cli.main import main
 from can_rig.controllers.ecus import HostEcu, host_library
 from can_rig.controllers.making import controller_of
-from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import ExportError
 from can_rig.export.application import application
 from can_rig.export.network_code import SENT, frame_bytes
-from can_rig.export.trials import random_frames
 from can_rig.frames.codec import ROLES
 from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network
-from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import draft
-from tests.rig.export.shared import EMULATED, STRICT, frames_in_c, log_from, log_of, run
+from tests.helpers import succeeded
+from tests.rig.export.shared import (
+    EMULATED,
+    STRICT,
+    frames_in_c,
+    judged_alike,
+    log_from,
+    log_of,
+    run,
+)
 from tests.rig.own_frames.scenarios import (
     CALM,
     ESP12,
@@ -191,30 +192,11 @@ def test_an_emulated_board_sends_the_same_bytes(own, layout, board):
 
 @pytest.mark.parametrize("layout", ["motorola", "intel", "fd", "no tick"])
 def test_any_frames_are_answered_and_judged_alike(own, layout):
-    """Wrong ticks and lengths, repeated, damaged and missing frames; frames of another kind."""
     scenario = load("default", ["duration_s=1", *own[layout]])
-    network = network_of(scenario)
-    library, room = host_library(scenario), frame_bytes(network)
+    library, room = host_library(scenario), frame_bytes(network_of(scenario))
     for seed in range(3):
-        sent: list[list[object]] = [[], []]
-
-        def kept(message: can.Message, into: list[object]) -> None:
-            kind = (message.arbitration_id, message.is_extended_id, message.is_fd)
-            into.append((*kind, bytes(message.data)))
-
-        nodes = (
-            ControllerNode(scenario, network, partial(kept, into=sent[0]), PYTHON),
-            EcuNode(scenario, network, partial(kept, into=sent[1]), HostEcu(library, room)),
-        )
-        for message in (each for tick in random_frames(network, seed) for each in tick):
-            other = copy(message)
-            other.is_extended_id ^= True
-            for frame in (other, message):
-                one, two = (node.take(frame) for node in nodes)
-                assert one == two
-        assert sent[0] == sent[1]
-        assert sent[0]
-        assert nodes[0].rejected() == nodes[1].rejected()
+        expected, rejected = judged_alike(scenario, lambda: HostEcu(library, room), seed)
+        assert rejected == expected
 
 
 SENSORS = f"""{ESP12}
@@ -267,8 +249,7 @@ def test_an_export_compiles_and_repeats_itself(own, tmp_path):
         first, again = tmp_path / f"{layout} 1", tmp_path / f"{layout} 2"
         for scenario, place in (("default", first), (str(first / "default.toml"), again)):
             chosen = words if place == first else []
-            done = CliRunner().invoke(main, ["export", scenario, *chosen, "--out", str(place)])
-            assert done.exit_code == 0, done.output
+            succeeded("export", scenario, *chosen, "--out", place)
         for each in first.iterdir():
             assert each.read_bytes() == (again / each.name).read_bytes(), each.name
         run("sha256sum", "--check", "--quiet", "manifest.sha256", cwd=first)

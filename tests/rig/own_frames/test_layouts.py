@@ -15,7 +15,7 @@ from can_rig.frames.codec import CheckStatus, Receiver, Transmitter
 from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network
 from can_rig.scenario.build import network_of
-from tests.helpers import record
+from tests.helpers import record, refuses
 from tests.rig.own_frames.arxml import as_arxml, name_of
 from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database, options
 
@@ -164,10 +164,8 @@ BAD = {
 
 @pytest.mark.parametrize(("value", "roles", "line"), BAD.values(), ids=BAD)
 def test_a_signal_that_cannot_do_is_one_line(tmp_path, value, roles, line):
-    with pytest.raises(DbcError) as caught:
+    with refuses(line, DbcError):
         network(tmp_path, database(value, 8), **roles)
-    assert line in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_what_is_wrong_elsewhere_in_a_database_is_no_matter(tmp_path):
@@ -257,10 +255,8 @@ TICK_KEYS = {
 def test_a_bad_tick_is_one_line(setting, line, tmp_path):
     path = tmp_path / "own.arxml"
     path.write_text(as_arxml(cantools.database.load_file(MOTOROLA)))
-    with pytest.raises((ScenarioError, DbcError)) as caught:
+    with refuses(line, (ScenarioError, DbcError)):
         network_of(load("default", [*arxml_options(path), setting]))
-    assert line in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_ticks_need_the_signals():

@@ -255,17 +255,6 @@ def test_a_tick_is_one_step_or_as_many_as_are_short(settings, tick_s, steps):
     assert after["longest_s"] == pytest.approx(tick_s / steps)
 
 
-def test_immediate_actuators_and_sensor_leave_a_class_as_it_is():
-    """The linear plant as a class, bit for bit; a lost share of a command never arrives."""
-    of_class, linear = behind(CLASS), behind()
-    draw = np.random.default_rng(2).normal(0.0, [40.0, 1500.0], (40, 2))
-    for pair in draw.tolist():
-        reports = [plant.report(*pair, 0.25, 0.5) for plant in (of_class, linear)]
-        for name in ("applied_torque_nm", "applied_force_difference_n", TRUE_OUTPUT):
-            assert reports[0][name] == reports[1][name]
-        assert of_class.follow(*pair, 0.25, 0.5) == linear.follow(*pair, 0.25, 0.5)
-
-
 def test_the_sensor_is_late_and_the_car_is_not():
     plant = behind(COUNTING, "plant.sensor.dead_time_s=0.0015")
     assert [plant.follow(0.0, 0.0, 1.0, 1.0) for _ in range(3)] == [(2, 0), (4, 1), (6, 3)]

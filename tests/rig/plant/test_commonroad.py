@@ -67,13 +67,3 @@ def test_it_reports_its_motion():
     assert motion["yaw_rate_rad_per_s"] == pytest.approx(output / chosen.plant.speed_mps, rel=1e-4)
     assert motion["steering_angle_rad"] > 0.0
     assert motion["true_dstar_mps2"] == output
-
-
-def test_behind_lags_it_is_driven_in_parts_of_a_tick():
-    """The steady output is the same without lags: a lag has unity gain."""
-    lagging = scenario("st", "plant.torque_actuator.lag_s=0.02", "plant.sensor.corner_hz=20")
-    ends = []
-    for chosen in (scenario("st"), lagging):
-        plant = plant_behind(chosen.plant, 0.01)
-        ends.append([plant.follow(20.0, 0.0, 1.0, 1.0) for _ in range(400)][-1])
-    np.testing.assert_allclose(ends[1], ends[0], rtol=1e-4)

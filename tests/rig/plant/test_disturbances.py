@@ -9,11 +9,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from can_rig.assessment.resolve import load
-from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import ScenarioError
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.disturbances import BLOCK, CALM, Disturbances
 from can_rig.plant.frameless import UntilItFails, frameless_loop
@@ -24,6 +20,7 @@ from can_rig.scenario.driving import WORLD_COLUMNS
 from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.simulation import LoopPlant
 from tests.firmware.analysis.world import Integrated
+from tests.helpers import on_a_bus, on_no_bus
 
 FORCE, MOMENT, BANK, KICK, FRONT, REAR = range(6)
 GUST = "disturbance={kind='gust', force_n=3}"
@@ -162,13 +159,10 @@ def recorded(folder: Path, name: str, *settings: str) -> list[tuple[bytes, bytes
     """The log and the plant's signals, from two nodes in a process and from none."""
     scenario = load(name, settings)
     found = []
-    for way in ("nodes", "columns"):
-        log = folder / f"{way}.log"
-        if way == "nodes":
-            run_in_process(scenario, "virtual:world", log, StopRequest(), lambda tick: None, PYTHON)
-        else:
-            run_without_bus(scenario, log, StopRequest(), lambda tick: None)
-        found.append((log.read_bytes(), (folder / f"{way}.plant.csv").read_bytes()))
+    for way in (on_a_bus, on_no_bus):
+        log = folder / f"{way.__name__}.log"
+        way(scenario, log)
+        found.append((log.read_bytes(), log.with_suffix(".plant.csv").read_bytes()))
     return found
 
 

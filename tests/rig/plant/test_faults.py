@@ -77,14 +77,6 @@ def test_losses_that_overlap_leave_the_product():
     assert left.tolist() == [1.0] * 5 + [0.5] + [0.125] * 2 + [0.25] * 4
 
 
-@pytest.mark.parametrize("kind", ["frames-missing", "frames-corrupted"])
-def test_a_frame_fault_leaves_actuators_and_sensor_alone(kind):
-    faults = PlantFaults(load("thesis-step", [*SHORT, f"fault.kind={kind}"]))
-    assert (faults.left(TICKS) == 1.0).all()
-    assert not faults.bias(TICKS).any()
-    assert not len(faults.rows(TICKS))
-
-
 def applied(*settings, commands):
     """What acts on the car of ``commands`` of the torque."""
     scenario = load("thesis-step", [*TIMING, *settings])

@@ -270,16 +270,3 @@ def test_the_first_ticks_alone(ticks):
     lost = len(range(5, min(8, ticks)))
     assert ticks_without(found.sent[:, 0]) == list(range(5, 5 + lost))
     assert found.rejected[NAMES[0]] == ({"no_new_data": lost} if lost else {})
-
-
-def faults_of(*settings: str) -> Delivery:
-    return answered(
-        load("thesis-step", [f"duration_s={TICKS / 1000}", "fault.at_s=0.005", *settings])
-    )
-
-
-@pytest.mark.parametrize("order", [(5, 50), (50, 5)])
-def test_two_faults_far_from_each_other_both_count(order):
-    missing = {"kind": "frames-missing", "for_s": 0.003}
-    settings = fault_list(*(missing | {"at_s": first / 1000} for first in order))
-    assert ticks_without(faults_of(*settings).used[:, 0]) == [*range(5, 8), *range(50, 53)]

@@ -9,8 +9,6 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.logs.columns import ON_THE_BUS
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.frameless import frameless, inputs_of
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.signals import read_signals
@@ -21,7 +19,7 @@ from can_rig.scenario.sensor_settings import ECHOES, MEASURED
 from firmware_model.analysis.simulation import Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law.status import Mode
-from tests.helpers import record
+from tests.helpers import on_no_bus, record
 from tests.rig.plant.fault_settings import fault_list
 from tests.rig.plant.linear import LinearPlant
 
@@ -57,7 +55,7 @@ def compared(folder: Path, name: str, *settings: str) -> Trace:
     np.testing.assert_array_equal(trace.measured, bus.dstar_mps2)
     if not any(fault.needs_a_bus for fault in scenario.faults):
         other = folder / "other.log"
-        run_without_bus(scenario, other, StopRequest(), lambda _: None)
+        on_no_bus(scenario, other)
         assert other.read_bytes() == log.read_bytes()
     return trace
 

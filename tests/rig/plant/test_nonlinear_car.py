@@ -1,4 +1,4 @@
-"""The nonlinear car against an ODE solver, a root finder, bristles and the linear car."""
+"""The nonlinear car against an ODE solver, bristles and the linear car."""
 
 import math
 from itertools import pairwise
@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
-from scipy.optimize import root
 
 from can_rig.assessment.resolve import load
 from can_rig.plant.frameless import frameless
@@ -110,7 +109,7 @@ def output(x, p, *commands, time_s=0.0):
 # --- the tire ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("slip", [1e-4, 0.01, 0.05, 0.1, 0.2, 0.3, 1.2])
+@pytest.mark.parametrize("slip", [1e-4, 0.01, 0.05, 0.1, 0.2, 0.3, 0.35, 1.2])
 def test_the_tire_is_bristles_that_stick_until_friction_is_reached(slip):
     """Each bristle, 2/n of the contact, bends with its way from the front or slides."""
     stiffness, grip, count = 67400.0, 7506.0, 200_000
@@ -129,16 +128,6 @@ def test_a_tire_is_odd_bounded_and_never_pushes(stiffness, grip, along, across):
     assert abs(force) <= grip * (1 + 1e-12)
     assert abs(force) <= stiffness * abs(across / along) * (1 + 1e-12)
     assert force * across <= 0.0
-
-
-@given(stiffnesses, grips, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-def test_more_slip_is_never_less_force(stiffness, grip, one, other):
-    less, more = sorted((one, other))
-    assert brush(stiffness, grip, 1.0, -less) <= brush(stiffness, grip, 1.0, -more) + 1e-9 * grip
-
-
-def test_the_cornering_stiffness_is_the_slope_at_zero_slip():
-    assert brush(67400.0, 7506.0, 1.0, -1e-9) == pytest.approx(67400e-9, rel=1e-7)
 
 
 # --- the car -------------------------------------------------------------------------------------
@@ -229,27 +218,6 @@ def test_a_world_of_little_strength_acts_as_on_the_linear_car_from_standstill_on
         assert coarse / fine == pytest.approx(4.0, rel=0.2)
 
 
-@pytest.mark.parametrize(
-    ("torque", "push", "friction"),
-    [(40.0, 0, 0.9), (200.0, 500, 0.9), (0, 2989, 0.9), (60, 0, 0.3)],
-)
-def test_steady_cornering_is_where_a_root_finder_finds_it(torque, push, friction):
-    settings = PlantSettings(friction=friction)
-    car = NonlinearCar(settings)
-    settled = [car.advance(0.01, torque, push) for _ in range(4000)][-1]
-
-    def residual(unknown):
-        course, yaw_rate, steer = unknown
-        rates = world_rates(0, [0.0, course, yaw_rate, 0.0, steer], settings, torque, push)
-        return [rates[1] - yaw_rate, rates[2], rates[3]]
-
-    found = root(residual, [0.0, 0.05, 0.0], tol=1e-13)
-    course, yaw_rate, steer = found.x
-    assert found.success
-    assert settled == pytest.approx(yaw_rate * settings.speed_mps, rel=1e-8)
-    assert car.state == pytest.approx([course, yaw_rate, 0.0, steer], rel=1e-7, abs=1e-9)
-
-
 def test_the_integration_is_of_order_4():
     """From a state in which no tire passes zero or full slip within the time: smooth throughout."""
     car, start = car_of(CAR), np.array([-0.02, 0.3, 0.1, 0.06])
@@ -295,20 +263,6 @@ def test_no_command_takes_more_than_friction_from_the_road(commands, friction):
         acceleration = car.advance(0.01, torque, push)
         assert abs(acceleration) <= friction * G * (1 + 1e-12)
         assert mirrored.advance(0.01, -torque, -push) == -acceleration
-
-
-@pytest.mark.parametrize("friction", [0.3, 0.9])
-def test_cornering_saturates_with_friction(friction):
-    """Twice the torque is twice the cornering of the linear car, and less and less of this one."""
-    settings = PlantSettings(friction=friction)
-    torques = friction / 0.9 * np.array([40.0, 80.0, 160.0, 320.0])
-    settled = []
-    for torque in torques:
-        car = NonlinearCar(settings)
-        settled.append([car.advance(0.01, torque, 0.0) for _ in range(3000)][-1])
-    assert (np.diff(settled / torques) < 0).all()
-    assert (np.diff(settled) > 0).all()
-    assert 0.5 * friction * G < settled[-1] < friction * G
 
 
 def test_what_the_rear_wheels_push_they_cannot_hold_sideways():

@@ -55,14 +55,6 @@ def test_between_ticks_it_is_the_continuous_plant_under_held_commands(name, tick
     assert np.abs(measured - expected).max() < 1e-8 * np.abs(expected).max()
 
 
-def test_a_constant_command_settles_at_the_steady_state_gain():
-    plant = continuous_plant(load("thesis-step").plant)
-    pair = (40.0, 1500.0)
-    settled = outputs([*HEALTHY, "tick_s=0.01"], [pair] * 3000)[-1]
-    gain = -plant.c @ np.linalg.solve(plant.a, plant.b)
-    assert settled == pytest.approx((gain @ pair).item(), rel=1e-9)
-
-
 @pytest.mark.parametrize("latency", [1, 3, 64])
 def test_latency_delays_by_whole_ticks_and_changes_nothing_else(latency):
     sequence = random_commands(100)
@@ -84,13 +76,6 @@ def test_a_dead_actuator_is_a_command_of_zero_where_it_acts(channel, dead, laten
     expected = outputs([*HEALTHY, f"latency_ticks={latency}"], masked)
     assert (outputs(settings, sequence) == expected).all()
     assert (outputs(settings, sequence) != outputs(HEALTHY, sequence)).any()
-
-
-def test_silence_holds_for_hold_s_then_is_zero():
-    sequence = random_commands(10) + [(None, None)] * 30
-    held = random_commands(10)
-    held += [held[-1]] * 4 + [(0.0, 0.0)] * 26
-    assert (outputs([*HEALTHY, "actuator.hold_s=0.004"], sequence) == outputs(HEALTHY, held)).all()
 
 
 def test_channels_are_held_one_by_one():

@@ -14,6 +14,7 @@ from can_rig.frames.databases import shipped_dbc
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.results.execution import Options, execute, two_processes
 from can_rig.scenario.loading import draft
+from tests.helpers import refuses
 
 TICK_S = 0.001
 CALM = {"noise": 0.0, "resolution": 0.0}
@@ -301,7 +302,7 @@ def test_a_forged_frame_precedes_the_real_one_and_is_heard_in_its_place(tmp_path
     assert cells[301] == f"{after:.10g}"
 
 
-BAD_FAULTS = [
+BAD = [
     ({"kind": "sensor-scaled", "channel": "yaw-rate"}, "fault.gain: must be set"),
     ({"kind": "sensor-lying", "channel": "yaw-rate"}, "fault.channel = 'yaw-rate': must be torque"),
     ({"kind": "sensor-invalid"}, "fault.channel = 'torque': must be yaw-rate or"),
@@ -316,17 +317,6 @@ BAD_FAULTS = [
     ({"kind": "actuator-dead", "channel": "yaw-rate"}, "fault.channel = 'yaw-rate': must be one"),
     ({"kind": "frames-late", "channel": "force-difference-echo"}, "must be a sensor of the scen"),
     ({"kind": "sensor-biased", "channel": "yaw-rate"}, "fault.offset: must be set"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("fault", "line"), BAD_FAULTS, ids=str)
-def test_an_impossible_fault_of_a_further_sensor_is_refused(fault, line):
-    with pytest.raises(ScenarioError) as refused:
-        scenario(fault=fault)
-    assert line in str(refused.value) and "\n" not in str(refused.value)
-
-
-BAD = [
     ({}, "sensor.measures: must be set"),
     ({"measures": "yaw"}, "sensor.measures = 'yaw': must be"),
     ({"period_s": 0.0}, "sensor.period_s = 0.0: must be greater than 0"),
@@ -348,15 +338,14 @@ BAD = [
     ({"signal": "yaw"}, "sensor.signal = 'yaw': must be left out; only a class or an FMU"),
     ({"signal": "a b"}, "sensor.signal = 'a b': must be a name of letters"),
     ({"noise_mps2": 1.0}, "sensor.noise_mps2: unknown key"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("keys", "line"), BAD, ids=lambda each: str(each)[:40])
-def test_bad_keys_are_refused_in_one_line(keys, line):
+def test_bad_keys_of_a_sensor_or_of_its_fault_are_refused_in_one_line(keys, line):
     sensor = {"measures": "yaw-rate", **keys} if keys else {}
-    with pytest.raises(ScenarioError) as refused:
-        scenario(sensor=sensor)
-    assert line in str(refused.value) and "\n" not in str(refused.value)
+    with refuses(line):
+        scenario(**({"fault": keys} if "kind" in keys else {"sensor": sensor}))
 
 
 def test_a_quantity_has_one_sensor():

@@ -8,6 +8,7 @@ from can_rig.results import counterfactual
 from can_rig.results.counterfactual import fault_free, loop_of
 from can_rig.results.metrics import metrics, metrics_of
 from can_rig.results.signals import Signals
+from tests.rig.plant.failing import FAILING
 from tests.rig.results.quiet import COLUMNS, quiet
 
 
@@ -27,22 +28,9 @@ def test_fault_free_is_the_rig_s_own_run_without_the_fault(run, name, settings):
     np.testing.assert_array_equal(found.force_difference_n, signals.force_difference_n)
 
 
-FAILING = """
-class Failing:
-    def __init__(self, settings): self.reset()
-    def reset(self): self.calls, self.dstar_mps2 = 0, 0.0
-    def advance(self, dt_s, torque_nm, force_difference_n):
-        self.calls += 1
-        if self.calls > 70: raise RuntimeError("it broke")
-        self.dstar_mps2 += (0.02 * torque_nm - self.dstar_mps2) * dt_s
-        return self.dstar_mps2
-"""
-
-
-def test_fault_free_ends_where_a_plant_fails_by_itself(tmp_path):
-    (tmp_path / "breaking_car.py").write_text(FAILING)
-    kind = "plant.kind=breaking_car:Failing"
-    scenario = load("thesis-step", ["duration_s=0.1", "fault.at_s=0.05", kind])
+def test_fault_free_ends_where_a_plant_fails_by_itself():
+    failing = [FAILING, "plant.parameters.calls=70"]
+    scenario = load("thesis-step", ["duration_s=0.1", "fault.at_s=0.05", *failing])
     broken = fault_free(scenario, quiet(scenario))
     assert np.isfinite(broken.dstar_mps2[:71]).all()
     assert np.isnan(broken.dstar_mps2[71:]).all()

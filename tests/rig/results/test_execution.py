@@ -32,20 +32,12 @@ from can_rig.results.run_folder import (
 )
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
-from tests.helpers import asked, record
+from tests.helpers import asked, record, refused, succeeded
+from tests.rig.plant.failing import FAILING
 
 FILES = {"bus.log", "bus.plant.csv", "report.html", "report.png", "run.json", "signals.csv"}
 SHORT = ["duration_s=0.02"]
 SCENARIO = load("thesis-step", SHORT)
-FAILING = """
-class Failing:
-    def __init__(self, settings): self.reset()
-    def reset(self): self.calls = 0
-    def advance(self, dt_s, torque_nm, force_difference_n):
-        self.calls += 1
-        if self.calls > 12: raise RuntimeError("stuck")
-        return 0.0
-"""
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +68,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
 
 def recorded(folder: Path, lines: int, summary: NodeSummary | RigError) -> execution.Runner:
     """A runner that records the first lines of a real log and then ends so."""
+    folder.mkdir()
     source = record(folder, *SHORT, bus="virtual:source")[0].read_text().splitlines(keepends=True)
 
     def run(_scenario: object, log: Path, *_: object) -> NodeSummary:
@@ -127,7 +120,6 @@ def test_where_the_closing_files_cannot_be_written_both_runs_are_kept(there, tmp
 def test_a_disk_that_fills_during_the_run_is_one_line_that_says_where_the_frames_are(
     tmp_path, monkeypatch
 ):
-    (tmp_path / "source").mkdir()
     out, log = tmp_path / "out", tmp_path / "out" / "bus.log"
     runner = recorded(tmp_path / "source", 32, LogError(f"{log}: cannot be written: full"))
     monkeypatch.setattr(Signals, "write_csv", full)
@@ -140,7 +132,6 @@ def test_a_disk_that_fills_during_the_run_is_one_line_that_says_where_the_frames
 @pytest.mark.parametrize("force", [False, True])
 def test_a_run_that_fails_keeps_what_it_recorded(force, there, tmp_path):
     out = there if force else tmp_path / "other"
-    (tmp_path / "source").mkdir()
     runner = recorded(tmp_path / "source", 32, SilentNodeError("the plant node was ended"))
     done = execute(SCENARIO, out, StopRequest(), Options(force=force, runner=runner))
     assert done is not None
@@ -155,7 +146,6 @@ def test_a_run_that_fails_keeps_what_it_recorded(force, there, tmp_path):
 @pytest.mark.parametrize("ending", [RigError("refused"), NodeSummary(0, 0.0, {}, {})], ids=str)
 def test_a_run_that_records_nothing_replaces_nothing(ending, there, tmp_path):
     before = contents(there)
-    (tmp_path / "source").mkdir()
     runner = recorded(tmp_path / "source", 0, ending)
     for out, force in ((there, True), (tmp_path / "new", False)):
         if isinstance(ending, RigError):
@@ -170,7 +160,6 @@ def test_a_run_that_records_nothing_replaces_nothing(ending, there, tmp_path):
 
 
 def test_what_the_nodes_say_is_in_the_summary(tmp_path):
-    (tmp_path / "source").mkdir()
     events, rejected = {"plant": {"no buffer space": 3}}, {"DSTAR_FEEDBACK": {"wrong_crc": 1}}
     said = NodeSummary(20, 0.5, rejected, events)
     done = execute(
@@ -188,7 +177,6 @@ def test_what_the_nodes_say_is_in_the_summary(tmp_path):
 
 def test_a_stopped_run_says_so(tmp_path):
     stop = StopRequest()
-    (tmp_path / "source").mkdir()
     runner = recorded(tmp_path / "source", 25, NodeSummary(5, 0.1, {}, {}))
     done = execute(SCENARIO, tmp_path / "r", stop, Options(runner=runner))
     assert done is not None
@@ -203,11 +191,10 @@ def what_if(log: Path, out: Path, *words: object) -> Any:
 
 
 def test_a_what_if_whose_plant_fails_leaves_a_complete_folder(there, tmp_path):
-    (tmp_path / "failing_car.py").write_text(FAILING)
     log = tmp_path / "source.log"
     shutil.copy(there / "bus.log", log)
-    done = what_if(log, there, "--force", "--set", "plant.kind=failing_car:Failing",
-                   "--allow-unstable")  # fmt: skip
+    failing = ["--set", FAILING, "--set", "plant.parameters.calls=12", "--allow-unstable"]
+    done = what_if(log, there, "--force", *failing)
     assert done.returncode == 2
     assert "advance failed at 0.012 s" in done.stderr
     assert "Traceback" not in done.stderr
@@ -234,8 +221,7 @@ def test_a_what_if_has_its_bus_events_and_a_reference_that_can_be_read_again(
     assert summary_of(there)["bus_events"] == {"plant": {"no buffer space": 2}}
     assert summary_of(there)["scenario"]["reference"]["file"] == "reference.csv"
     assert (there / "bus.log").read_bytes() == log.read_bytes()
-    again = asked("replay", there, "--json")  # by the scenario of the folder
-    assert again.returncode == 0, again.stderr
+    succeeded("replay", there, "--json")  # by the scenario of the folder
     moved = there.rename(tmp_path / "moved")
     (values, _) = recorded_scenario(moved)
     assert values["reference"]["file"] == str(moved / "reference.csv")
@@ -244,8 +230,7 @@ def test_a_what_if_has_its_bus_events_and_a_reference_that_can_be_read_again(
 def test_the_same_what_if_twice_gives_the_same_bytes_but_for_the_times(there, tmp_path):
     answers = []
     for out in (tmp_path / "one", tmp_path / "another" / "folder"):
-        done = asked("replay", there, "--what-if", "--set", "plant.mass_kg=1500", "--out", out)
-        assert done.returncode == 0, done.stderr
+        succeeded("replay", there, "--what-if", "--set", "plant.mass_kg=1500", "--out", out)
         files = contents(out)
         summary = json.loads(files.pop("run.json"))
         for measured in ("wall_s", "ticks_per_s", "real_time_factor"):
@@ -279,11 +264,9 @@ def test_a_full_disk_is_one_line_and_nothing_recorded_is_lost(
 
 
 def test_a_bus_within_one_process_is_refused_for_two(tmp_path):
-    done = asked("run", "thesis-step", "--bus", "virtual:x", "--out", tmp_path / "r")
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: bus 'virtual:x': stays within one process")
-    assert "--in-process" in done.stderr
-    assert done.stderr.count("\n") == 1
+    line = refused("run", "thesis-step", "--bus", "virtual:x", "--out", tmp_path / "r")
+    assert line.startswith("error: bus 'virtual:x': stays within one process")
+    assert "--in-process" in line
     assert not (tmp_path / "r").exists()
 
 

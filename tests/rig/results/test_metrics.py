@@ -105,9 +105,6 @@ def test_a_passing_fault_is_over_at_the_end(run):
     assert force is not None and force < 10.0
 
 
-CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = 0.0, 1.0, 2.0, 3.0
-
-
 def test_noise_in_the_commands_is_that_of_the_exact_covariance(run):
     always = ("design.compensation=always", "design.tau_s=0.0022", "design.alpha=2")
     scenario, signals = run("noisy", "duration_s=10.0", "fault.kind=none", *always)

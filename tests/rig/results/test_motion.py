@@ -9,13 +9,12 @@ from scipy.integrate import solve_ivp
 
 from can_rig.assessment.resolve import load
 from can_rig.logs.columns import APPLIED, SECOND_MASS
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.without_bus import run_without_bus
 from can_rig.panel.live import SecondMass
 from can_rig.results.motion import scene, track_of, tracks
 from can_rig.results.signals import Signals, signals_of_columns
 from can_rig.scenario.plant_settings import SignalSettings
 from can_rig.scenario.settings import Scenario
+from tests.helpers import on_no_bus
 
 SPEED_MPS = 10.0
 
@@ -29,7 +28,7 @@ def signals_with(**plant: np.ndarray) -> Signals:
 def recorded(tmp_path, name: str, *settings: str) -> tuple[Scenario, Signals]:
     scenario = load(name, list(settings))
     log = tmp_path / "bus.log"
-    columns = run_without_bus(scenario, log, StopRequest(), lambda _tick: None).columns
+    columns = on_no_bus(scenario, log).columns
     return scenario, signals_of_columns(columns, scenario.tick_s, log)
 
 

@@ -120,15 +120,14 @@ class Car:
 """
 
 
-def own(tmp_path, monkeypatch, signals):
-    monkeypatch.chdir(tmp_path)
+def own(tmp_path, signals):
     name = f"car{abs(hash((signals, str(tmp_path))))}"
     (tmp_path / f"{name}.py").write_text(CLASS.replace("{signals}", signals))
     return load("default", [f"plant.kind={name}:Car", "plant.parameters.gain=0.5"])
 
 
-def test_a_plant_of_one_s_own_has_parameters_and_signals_of_its_own(tmp_path, monkeypatch):
-    scenario = own(tmp_path, monkeypatch, "{'gain_mps2_per_nm': self.gain, 'y_mps2': self.y}")
+def test_a_plant_of_one_s_own_has_parameters_and_signals_of_its_own(tmp_path):
+    scenario = own(tmp_path, "{'gain_mps2_per_nm': self.gain, 'y_mps2': self.y}")
     plant = SimulatedPlant(scenario)
     rows = [plant.advance(tick, 2.0, 0.0) for tick in range(4)]
     assert list(rows[0]) == [REPORTED[0], "gain_mps2_per_nm", "y_mps2", *REPORTED[-2:]]
@@ -148,15 +147,15 @@ def test_a_plant_of_one_s_own_has_parameters_and_signals_of_its_own(tmp_path, mo
         ("{'a_rad': 1 / 0}", "signals\\(\\) at 0 s failed: ZeroDivisionError"),
     ],
 )
-def test_signals_that_are_none_are_refused_in_one_line(tmp_path, monkeypatch, signals, line):
-    plant = SimulatedPlant(own(tmp_path, monkeypatch, signals))
+def test_signals_that_are_none_are_refused_in_one_line(tmp_path, signals, line):
+    plant = SimulatedPlant(own(tmp_path, signals))
     with pytest.raises(RigError, match=line):
         plant.advance(0, 0.0, 0.0)
 
 
-def test_signals_that_change_their_names_are_refused_in_one_line(tmp_path, monkeypatch):
+def test_signals_that_change_their_names_are_refused_in_one_line(tmp_path):
     """The columns of the file are those of the first tick; other values would be lost."""
-    plant = SimulatedPlant(own(tmp_path, monkeypatch, "{'b_m': 0.0} if self.y else {'a_rad': 1.0}"))
+    plant = SimulatedPlant(own(tmp_path, "{'b_m': 0.0} if self.y else {'a_rad': 1.0}"))
     with pytest.raises(RigError, match=r"signals\(\) at .* names b_m: must be a_rad, as before"):
         for tick in range(9):
             plant.advance(tick, 2.0, 0.0)

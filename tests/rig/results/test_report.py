@@ -90,7 +90,6 @@ def test_loss_and_gust_are_shaded_where_they_were(tmp_path):
         )
 
 
-@pytest.mark.filterwarnings("error")
 def test_the_speed_of_a_car_that_stands_has_a_scale(tmp_path):
     scenario, signals = recorded(tmp_path, "drive.speed_mps=0")
     signals.plant["speed_mps"] = np.zeros_like(signals.time_s)

@@ -15,7 +15,6 @@ from hypothesis import given, strategies as st
 
 import can_rig
 from can_rig.assessment.resolve import load
-from can_rig.controllers.our_law import PYTHON
 from can_rig.drawing.names import column_names
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.network import Network
@@ -27,13 +26,12 @@ from can_rig.logs.columns import (
     TAKEN,
     TRUE_OUTPUT,
 )
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.runner import run_in_process
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.plant_settings import SignalSettings
 from can_rig.scenario.sensor_settings import USUAL
 from can_rig.views.signal_table import read_table
+from tests.helpers import on_a_bus
 
 SCENARIO = load(
     "thesis-sine",
@@ -52,7 +50,7 @@ HEADER = {"Checksum", "AliveCounter", "Tick", "Mode", "FaultState", "Verdict"}
 @pytest.fixture(scope="module")
 def lines(tmp_path_factory):
     log = tmp_path_factory.mktemp("run") / "bus.log"
-    run_in_process(SCENARIO, "local:signals-test", log, StopRequest(), lambda tick: None, PYTHON)
+    on_a_bus(SCENARIO, log)
     return log.read_text().splitlines(keepends=True)
 
 

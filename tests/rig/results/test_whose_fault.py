@@ -9,8 +9,6 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.drawing.names import CAR
 from can_rig.logs.columns import EVIDENCE, VERDICT
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.frameless import frameless
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.isolation import CERTAIN, in_words, verdict_rows, whose_fault, with_verdict
@@ -21,6 +19,7 @@ from can_rig.scenario.controls import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law.status import FaultState, Mode, Verdict
+from tests.helpers import on_no_bus
 
 LANE_CHANGE = ["reference.kind=lane-change", "reference.frequency_rad_per_s=1.34", "duration_s=5"]
 BOTH_LOST = ["fault.0.kind=actuator-dead", "fault.0.at_s=3.5", "fault.1.kind=actuator-dead",
@@ -203,7 +202,7 @@ def test_the_status_frame_says_the_verdict(tmp_path):
     faults = ["fault.kind=sensor-biased", "fault.at_s=0.2", "duration_s=0.3"]
     scenario = load("default", faults)
     network, log = network_of(scenario), tmp_path / "bus.log"
-    run_without_bus(scenario, log, StopRequest(), lambda _: None)
+    on_no_bus(scenario, log)
     heard = read_signals(log, network, scenario.tick_s)
     assert heard.verdict is not None
     again = with_verdict(scenario, network, replace(heard, verdict=None))

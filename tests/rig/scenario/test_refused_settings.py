@@ -14,10 +14,7 @@ EXACT = {
     "design.alpha=9": "design.alpha = 9: must be at most 8",
     "design.estimator=euler": "design.estimator = 'euler': "
     "must be 'tustin', 'tustin-held' or 'zoh'",
-    "plant.mass_kg=1e-300": "plant.mass_kg = 1e-300: must be at least 10",
     "plant.mass_kg=heavy": "plant.mass_kg = 'heavy': must be a valid number",
-    "plant.speed_mps=1e6": "plant.speed_mps = 1000000.0: must be at most 200",
-    "plant.lateral_weight=1.5": "plant.lateral_weight = 1.5: must be at most 1",
     "plant.kind=boat": "plant.kind = 'boat': must be steer-by-wire, transfer-functions, "
     "state-space, fmu:FILE.fmu or package.module:Class",
     "fault.left=1": "fault.left = 1: must be less than 1",

@@ -19,6 +19,7 @@ from can_rig.scenario.loading import draft
 from can_rig.scenario.plant_settings import BUILT_IN, PlantSettings
 from can_rig.scenario.settings import DesignSettings, Scenario
 from firmware_model.design.vehicle import VehicleParameters
+from tests.helpers import refuses
 
 
 def flat(values, prefix=""):
@@ -181,11 +182,8 @@ def sections():
 
 @pytest.mark.parametrize("section", sections())
 def test_an_unknown_key_is_one_line_that_names_it(section):
-    with pytest.raises(ScenarioError) as caught:
+    with refuses(f"{section}zzz: unknown key"):
         load("thesis-step", [f"{section}zzz=1"])
-    message = str(caught.value)
-    assert f"{section}zzz: unknown key" in message
-    assert "\n" not in message
 
 
 @pytest.mark.parametrize("key", [key for key in OTHER if len(key.rpartition(".")[2]) > 4])

@@ -18,7 +18,7 @@ from can_rig.thesis.continuous import OUTPUTS, closed_loop, solve
 from can_rig.thesis.figures import refuse_existing
 from firmware_model.design.factors import realised
 from firmware_model.law.structs import FloatArray
-from tests.helpers import asked
+from tests.helpers import asked, succeeded
 
 VARIANTS = ("published", "physics")
 LOST_AT_S = 10.0
@@ -245,8 +245,7 @@ def test_distance_after_the_loss(short):
 def test_the_command_draws_every_figure_of_print_size(tmp_path):
     words = ("figures", "--out", tmp_path / "new", "--set", "duration_s=0.05", "--set",
              "fault.at_s=0.02")  # fmt: skip
-    first = asked(*words)
-    assert first.returncode == 0, first.stderr
+    first = succeeded(*words)
     figures = ("2.2", "2.3", "2.4", "3.5", "3.6")
     assert {each.name for each in (tmp_path / "new").iterdir()} == {f"fig-{n}.png" for n in figures}
     for figure in figures:

@@ -12,7 +12,7 @@ from playwright.sync_api import expect
 from can_rig.drawing.bench import on_one_axis
 from can_rig.storage import paged
 from tests.browser import barriers
-from tests.helpers import asked
+from tests.helpers import asked, succeeded
 
 TIME_S = st.integers(0, 9000).map(lambda ms: ms / 1000)
 CURVE = st.lists(st.tuples(TIME_S, st.floats(-1e6, 1e6)), min_size=1, max_size=60)
@@ -51,8 +51,7 @@ def test_no_copy_of_a_long_curve_is_in_memory(monkeypatch):
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("view")
     settings = "--set", "duration_s=1.5", "--set", "fault.at_s=0.5"
-    done = asked("run", "default", *settings, "--in-process", "--out", path / "run")
-    assert done.returncode == 0
+    succeeded("run", "default", *settings, "--in-process", "--out", path / "run")
     return path
 
 
@@ -71,8 +70,7 @@ def test_a_run_has_its_charts_and_the_evidence_and_reports_beside(folder):
 
 
 def test_a_log_has_the_signals_of_its_database(folder):
-    done = asked("view", folder / "run/bus.log", "--out", folder / "log.html")
-    assert done.returncode == 0
+    succeeded("view", folder / "run/bus.log", "--out", folder / "log.html")
     run = shown((folder / "log.html").read_text("utf-8"))
     assert "DSTAR_FEEDBACK.DStar" in run["keys"]
     (mode,) = (curve for curve in run["curves"] if curve["key"] == "CONTROLLER_STATUS.Mode")

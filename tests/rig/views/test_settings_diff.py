@@ -7,15 +7,12 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.controllers.our_law import PYTHON
-from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.runner import run_in_process
 from can_rig.results.run_folder import Outcome, finish
 from can_rig.scenario.build import network_of
 from can_rig.views.diff import SettingDifference, compare, differing_settings
 from can_rig.views.pictures import difference_page
 from can_rig.views.signal_table import SignalTable, read_table, titles
-from tests.helpers import asked
+from tests.helpers import asked, on_a_bus
 
 
 def keys(a: list[str], b: list[str]) -> dict[str, tuple[object, object]]:
@@ -70,9 +67,7 @@ def runs(tmp_path_factory):
         scenario = load("chapter-2", ["duration_s=0.1", "fault.at_s=0.05", *change])
         (folder / name).mkdir()
         log = folder / name / "bus.log"
-        run_in_process(
-            scenario, f"local:settings-{name}", log, StopRequest(), lambda tick: None, PYTHON
-        )
+        on_a_bus(scenario, log)
         finish(folder / name, scenario, network_of(scenario), Outcome("local"))
     return folder
 

@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import expect
 
 from tests.browser import barriers
-from tests.helpers import asked
+from tests.helpers import succeeded
 
 DATABASE = """VERSION ""
 NS_ :
@@ -72,8 +72,7 @@ def log(tmp_path):
 
 
 def opened(page, path: Path, *arguments: object) -> None:
-    done = asked("view", *arguments, "--out", path, "--force")
-    assert done.returncode == 0, done.stderr
+    succeeded("view", *arguments, "--out", path, "--force")
     page.goto(path.as_uri())
     page.wait_for_selector("body[data-drawn]")
 
@@ -156,8 +155,7 @@ def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("two")
     for name, duration_s, at_s in (("a", 0.6, 0.2), ("b", 0.8, 0.3)):
         settings = "--set", f"duration_s={duration_s}", "--set", f"fault.at_s={at_s}"
-        done = asked("run", "ideal", *settings, "--in-process", "--out", folder / name)
-        assert done.returncode == 0, done.stderr
+        succeeded("run", "ideal", *settings, "--in-process", "--out", folder / name)
     return folder
 
 

@@ -145,7 +145,7 @@ def test_one_that_ends_its_simulation_is_one_line(cars):
             plant.advance(0.001, 1.0, 0.0)
 
 
-def test_a_file_beside_the_scenario_and_a_linear_plant_that_stands_for_it(tmp_path, monkeypatch):
+def test_a_file_beside_the_scenario_and_a_linear_plant_that_stands_for_it(tmp_path):
     folder = tmp_path / "mine"
     folder.mkdir()
     a, b, c = [[-1.0, 0.98], [-4.0, -1.2]], [[-0.05, 0.02], [-3.5, 1.5]], [0.0, 1.0]
@@ -157,7 +157,6 @@ def test_a_file_beside_the_scenario_and_a_linear_plant_that_stands_for_it(tmp_pa
         "input_1 = { name = 'force' }\n[design]\ntau_s = 0.05\ntau_q_s = 0.1\nalpha_q = 2\n"
         "[fault]\nkind = 'actuator-dead'\nat_s = 0.5\n"
     )
-    monkeypatch.chdir(tmp_path)
     chosen = load("mine/two.toml")
     assert (chosen.model.kind, chosen.model.a, chosen.model.variables) == (
         "state-space",
