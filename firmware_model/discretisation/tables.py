@@ -50,6 +50,9 @@ AHEAD = 2.0  # least ratio of a found fault's evidence to faults at other places
 SENSOR_AHEAD = 3.0  # the ratio for a sensor fault, where an error costs a compensation
 LEAST_SHARE, MOST_SHARE = 0.5, 1.5  # share of a lost force; of a channel in another car
 LONGEST = 5.0  # horizons after which every candidate begins again
+HEALTH_S = 1.0  # memory of the fading sums of health
+HEALTHY = 9.0  # the known faults must show so many times as much as d̂
+LEAST_SHOWN = 0.2  # share of a loss that would show in d̂
 MOTION = 3.0  # deviations of the noise for a moved car
 LEAST_CHANCE = 1e-6  # chance of a repeated number: no sensor is finer
 
@@ -72,6 +75,10 @@ def fill_hypotheses(table: Table, target: Target) -> None:
     constants.sensor_ahead = SENSOR_AHEAD
     constants.jump = table.decision.suspect
     constants.both_lost = table.decision.certain
+    constants.health.keep = _memory(target, HEALTH_S)
+    constants.health.age = HEALTH_S / target.tick_s
+    constants.health.nearer = HEALTHY**2
+    constants.health.least = LEAST_SHOWN
     signatures.candidate.restart = table.sequential_test.restart
     signatures.candidate.lifetime = table.decision.horizon
     signatures.candidate.promising = table.decision.suspect

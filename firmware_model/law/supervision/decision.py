@@ -34,6 +34,7 @@ from firmware_model.law.supervision import echoes, likelihood_ratio, loss_model,
 from firmware_model.law.supervision.bumpless_transfer import begin_transfer
 from firmware_model.law.supervision.corroboration import follow_residual, torque_waits
 from firmware_model.law.supervision.echoes import (
+    FORCE,
     TORQUE,
     Echo,
     confesses,
@@ -45,6 +46,7 @@ from firmware_model.law.supervision.echoes import (
     told_share,
 )
 from firmware_model.law.supervision.frozen import weigh_frozen
+from firmware_model.law.supervision.health import clear_health, is_healthy
 from firmware_model.law.supervision.likelihood_ratio import (
     candidate_shown,
     forget_candidate,
@@ -76,7 +78,9 @@ from firmware_model.law.supervision.signatures import (
     weigh_signatures,
 )
 from firmware_model.law.supervision.verdict import (
+    NOTHING,
     TORQUE_LOST,
+    TORQUE_OFFSET,
     clear_hypotheses,
     find_by_echo,
     found_elsewhere,
@@ -156,7 +160,9 @@ def decide(
     judge(table, own, known, heard, seen, waits, before == CONFIRMED, torque.predicted)
     if heard.actuators[TORQUE].believed != believed:
         transfer_to_losses(table, state)
-    if found_elsewhere(own):
+    if shows_no_fault(table, state, residual, model_1, w, error):
+        forget_faults(table, state)
+    elif found_elsewhere(own):
         state.fault_state = CLEAR
         restart_test(table, state)
     elif before == CONFIRMED:
@@ -169,6 +175,30 @@ def decide(
             recover(table, state)
     else:
         look_for_loss(table, state, before, model_1)
+
+
+@firmware
+def shows_no_fault(
+    table: Table, state: layout.State, residual: float, model_1: float, w: float, error: float
+) -> bool:
+    """Whether the plant shows none of the known faults; a finding begins the sums anew.
+
+    Args:
+        table: the constant table.
+        state: with the verdict of this tick; changed in place.
+        residual: d̂.
+        model_1: G1 u1 in d̂: what an offset of the torque is compared with.
+        w: G1 u1 since the loss, in d̂.
+        error: what the known error of the sensor hides in d̂.
+    """
+    own, told = state.hypotheses, state.echoes.actuators
+    if told[TORQUE].believed == 1 or told[FORCE].believed == 1 or own.found != NOTHING:
+        clear_health(own.health)
+        return False
+    share = known_share(state.loss_model, state.mismatch)
+    offset = own.verdict == TORQUE_OFFSET and state.fault_state != CONFIRMED
+    lost = model_1 if offset else w
+    return is_healthy(table.hypotheses.health, own.health, residual, share, lost, error)
 
 
 @firmware
@@ -318,6 +348,17 @@ def withdraw_loss(table: Table, state: layout.State) -> None:
 
 
 @firmware
+def forget_faults(table: Table, state: layout.State) -> None:
+    """The plant shows none of the faults that were known."""
+    white = state.mismatch.white
+    if state.fault_state == CONFIRMED:
+        withdraw_loss(table, state)
+    else:
+        set_aside(table, state)
+    white.fading.memory[:] = white.sensor_error.memory[:] = 0.0
+
+
+@firmware
 def set_aside(table: Table, state: layout.State) -> None:
     """No d̂ up to now is evidence."""
     restart_test(table, state)
@@ -333,6 +374,7 @@ def take_candidate(table: Table, state: layout.State, share: float, sign: float)
     From now on the filter learns the errors of share and moment.
     """
     constants, test, known = table.loss_model, state.sequential_test, state.mismatch
+    clear_health(state.hypotheses.health)
     doubt = constants.doubt / max(test.candidate.information, table.decision.suspect)
     doubt = max(doubt, constants.least_doubt)
     moment = constants.moment * test.candidate.age

@@ -40,6 +40,11 @@ from firmware_model.law.supervision.frozen import (
     State as FrozenState,
     thaw,
 )
+from firmware_model.law.supervision.health import (
+    Constants as HealthConstants,
+    State as HealthState,
+    clear_health,
+)
 from firmware_model.law.supervision.sensor_error import (
     State as SensorErrorState,
     clear_sensor_error,
@@ -88,6 +93,7 @@ class Constants(Struct):
     ahead: Annotated[float, "1", "least ratio of a verdict's evidence to faults at other places"]
     sensor_ahead: Annotated[float, "1", "least ratio for a sensor fault"]
     jump: Annotated[float, "1", "evidence of a bias in its first tick, at least"]
+    health: Annotated[HealthConstants, "1", "of known faults that d̂ does not show"]
     both_lost: Annotated[
         float, "1", "lead in evidence for a loss of channel 2 after a loss of channel 1"
     ]
@@ -98,6 +104,7 @@ class State(Struct):
 
     signatures: Annotated[SignaturesState, "1", "of torque offset, lost force and sensor errors"]
     frozen: Annotated[FrozenState, "1", "of a frozen sensor"]
+    health: Annotated[HealthState, "y²", "of known faults that d̂ does not show"]
     evidence: Annotated[
         FloatArray, "1", "of each hypothesis, by the number of its verdict", (HYPOTHESES,)
     ]
@@ -415,6 +422,7 @@ def clear_hypotheses(own: State) -> None:
         begin(own.signatures.rows[i])
     forget_sums(own.signatures)
     thaw(own.frozen)
+    clear_health(own.health)
     own.frozen.measurement = own.frozen.expected = own.found_size = 0.0
     own.evidence[:] = 0.0
     clear_sensor_error(own.sensor_error)

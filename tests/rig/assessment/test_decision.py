@@ -11,7 +11,7 @@ from can_rig.assessment.stability import decision_figures
 from can_rig.plant.frameless import frameless
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from firmware_model.law.status import FaultState
+from firmware_model.law.status import FaultState, Verdict
 
 STEADY_NM = 42.5  # for 1 m/s², docs/design.md
 SEEDS = 31
@@ -130,3 +130,18 @@ def test_the_return_of_a_part_is_seen_in_a_bend_in_which_nothing_new_was_learnt(
         found += int(confirmed[back])
         assert not confirmed[back + 300 :].any()
     assert found >= 3  # a loss of 30 % may look like a different car
+
+
+@pytest.mark.parametrize("at_s", [2.5, 4.0, 5.3])
+@pytest.mark.parametrize(("channel", "offset"), [("torque", 40.0), ("force-difference", 600.0)])
+def test_an_offset_that_ends_leaves_no_loss_and_no_verdict(channel, offset, at_s):
+    """Begin and end look like two faults, and the plant like neither."""
+    words = ["reference.kind=sine", "reference.frequency_rad_per_s=2", "duration_s=12"]
+    words += ["fault.kind=actuator-offset", f"fault.channel={channel}", f"fault.offset={offset}"]
+    scenario = load("default", [*words, f"fault.at_s={at_s}", "fault.for_s=0.3"])
+    trace = frameless(scenario, network_of(scenario))
+    begun, over = round(at_s / scenario.tick_s), round((at_s + 3.0) / scenario.tick_s)
+    assert trace.verdict[begun:over].any()
+    harmless = Verdict.NOTHING, Verdict.ANOTHER_CAR  # another car changes no command
+    assert np.isin(trace.verdict[over:], harmless).all()
+    assert not (trace.fault_state[over:] == FaultState.CONFIRMED).any()

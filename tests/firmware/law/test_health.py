@@ -1,0 +1,77 @@
+"""The end of known faults that d̂ does not show."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.law import controller
+from firmware_model.law.supervision.health import clear_health, is_healthy
+from tests.firmware.law.cases import CAR
+
+TICK_S = 0.01
+TABLE = build(
+    design(CAR, DesignSpecification(tau_s=0.02, tau_q_s=0.05)),
+    Target(TICK_S, 1, "zoh", noise_rms=0.01),
+)
+NUMBERS = TABLE.hypotheses.health
+SECOND = round(1.0 / TICK_S)
+
+
+def told(residuals, share, w, errors, begins=()):
+    """What ``is_healthy`` says tick by tick; the sums begin anew in the ticks ``begins``."""
+    own = controller.init(TABLE)[0].hypotheses.health
+    says = []
+    for k, (residual, lost, error) in enumerate(zip(residuals, w, errors, strict=True)):
+        if k in begins:
+            clear_health(own)
+        says.append(is_healthy(NUMBERS, own, residual, share, lost, error))
+    return np.array(says)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 0.5))
+def test_the_faults_end_where_memories_of_a_second_say_so(seed, share, shown, error):
+    """Against sums written out, of a d̂ that shows any part of the known loss."""
+    draw = np.random.default_rng(seed)
+    w, errors = draw.standard_normal(3 * SECOND), error * draw.standard_normal(3 * SECOND)
+    residuals = shown * share * w - errors * shown + 0.01 * draw.standard_normal(3 * SECOND)
+    expected = []
+    for k in range(3 * SECOND):
+        fading = np.exp(-TICK_S * np.arange(k, -1, -1))
+        faults = fading @ (max(share, 0.2) ** 2 * w[: k + 1] ** 2 + errors[: k + 1] ** 2)
+        expected.append(k >= SECOND and 81.0 * (fading @ residuals[: k + 1] ** 2) < faults)
+    np.testing.assert_array_equal(told(residuals, share, w, errors), expected)
+
+
+@pytest.mark.parametrize("share", [0.06, 0.2, 1.0])
+def test_a_loss_that_d_hat_shows_stays(share):
+    w = np.sin(np.arange(5 * SECOND) * TICK_S)
+    assert not told(share * w, share, w, 0.0 * w).any()
+
+
+def test_a_loss_and_an_error_of_the_sensor_that_cancel_each_other_end():
+    constant = np.full(3 * SECOND, 0.15)
+    says = told(0.0 * constant, 0.15, constant / 0.15, constant)
+    assert not says[:SECOND].any()
+    assert says[SECOND:].all()
+
+
+def test_no_fault_ends_without_a_fault():
+    nothing = np.zeros(3 * SECOND)
+    assert not told(nothing, 0.0, nothing, nothing).any()
+
+
+def test_a_finding_gives_the_faults_another_second():
+    constant = np.ones(3 * SECOND)
+    says = told(0.0 * constant, 1.0, constant, 0.0 * constant, begins=(SECOND, 2 * SECOND - 1))
+    assert not says[SECOND : 3 * SECOND - 1].any()
+    assert says[-1]
+
+
+def test_a_d_hat_that_is_no_number_ends_nothing():
+    constant = np.ones(3 * SECOND)
+    assert not told(math.nan * constant, 1.0, constant, 0.0 * constant).any()
