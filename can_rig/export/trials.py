@@ -65,6 +65,7 @@ INDICES = (
     ("echoes", "index"), ("witness", "index"), ("mismatch.covariance", "first"),
 )  # fmt: skip
 SUMS = {
+    "hypotheses.health": ("off", "faults"),
     "witness": ("age", "power", "apart", "inner", "sensor_off", "sensor_healthy_off", "witness_off",
                 "healthy_off"),
     "echoes.actuators.0": ("missing", "off", "power", "stray", "swing"),
@@ -313,6 +314,7 @@ def make_plausible(random: np.random.Generator, table: Any, even: bool) -> None:
         hypotheses, witness, echoes = table.hypotheses, table.witness, table.echoes
         hypotheses.ahead, hypotheses.sensor_ahead, hypotheses.jump = random.exponential(1.0, 3)
         hypotheses.both_lost = random.exponential()
+        hypotheses.health.keep, hypotheses.health.nearer = 0.5, 81.0
         witness.noise, witness.doubt, witness.nearer, witness.keep = random.exponential(0.5, 4)
         for size in (
             echoes.wrong, hypotheses.torque_lost,

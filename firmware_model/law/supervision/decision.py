@@ -67,7 +67,12 @@ from firmware_model.law.supervision.loss_model import (
     possible_share,
     take_over_candidate,
 )
-from firmware_model.law.supervision.mismatch import innovation, learn_loss, predict_mismatch
+from firmware_model.law.supervision.mismatch import (
+    forget_car,
+    innovation,
+    learn_loss,
+    predict_mismatch,
+)
 from firmware_model.law.supervision.other_cars import show_other_cars
 from firmware_model.law.supervision.sensor_error import sensor_error_shown
 from firmware_model.law.supervision.signatures import (
@@ -349,8 +354,9 @@ def withdraw_loss(table: Table, state: layout.State) -> None:
 
 @firmware
 def forget_faults(table: Table, state: layout.State) -> None:
-    """The plant shows none of the faults that were known."""
+    """The plant shows none of the faults that were known, and θ has learnt from the faults."""
     white = state.mismatch.white
+    forget_car(table.mismatch, state.mismatch)
     if state.fault_state == CONFIRMED:
         withdraw_loss(table, state)
     else:

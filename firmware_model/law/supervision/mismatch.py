@@ -209,13 +209,19 @@ def innovation(
 
 
 @firmware
-def clear_mismatch(constants: Constants, state: State) -> None:
-    """Forget the car: no knowledge of θ, car at rest."""
-    state.x[:] = 0.0
+def forget_car(constants: Constants, state: State) -> None:
+    """No knowledge of θ; the car may move."""
     state.theta[:] = 0.0
     clear_covariance(state.covariance)
     for i in range(LOSS_STATES, constants.n - 1):
         state.covariance.variances[i] = constants.prior
+
+
+@firmware
+def clear_mismatch(constants: Constants, state: State) -> None:
+    """Forget the car: no knowledge of θ, car at rest."""
+    forget_car(constants, state)
+    state.x[:] = 0.0
     state.extent = state.change = state.rule = state.remainder = 0.0
     state.previous_model_output = 0.0
     state.previous_residual = 0.0

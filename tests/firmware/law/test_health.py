@@ -5,13 +5,17 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from scipy import signal
 
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.simulation import simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law import controller
+from firmware_model.law.status import FaultState
 from firmware_model.law.supervision.health import clear_health, is_healthy
-from tests.firmware.law.cases import CAR
+from tests.firmware.law.cases import CAR, DESIGN, other_cars
 
 TICK_S = 0.01
 TABLE = build(
@@ -75,3 +79,18 @@ def test_a_finding_gives_the_faults_another_second():
 def test_a_d_hat_that_is_no_number_ends_nothing():
     constant = np.ones(3 * SECOND)
     assert not told(math.nan * constant, 1.0, constant, 0.0 * constant).any()
+
+
+def test_a_push_that_ends_leaves_nothing_known():
+    """The push of a second and its end look like a bias, a loss, and what cancels both."""
+    tick_s, ticks = 0.005, 2000
+    target = Target(tick_s, 1, "zoh", noise_rms=0.003, mismatch=other_cars(2), on_confirmation=True)
+    table, noise = build(DESIGN, target), 0.003 * np.random.default_rng(1).standard_normal(ticks)
+    time_s = tick_s * np.arange(ticks)
+    pushed = ((time_s >= 3.0) & (time_s < 4.0)) * 0.15
+    slow = signal.sosfilt(signal.butter(2, 3.0, fs=1.0 / tick_s, output="sos"), pushed)
+    trace = simulate(table, sample(CAR, tick_s), np.sin(2.0 * time_s), noise=noise, bias=slow)
+    over = round(6.0 / tick_s)
+    assert trace.verdict[:over].any()
+    assert not trace.verdict[over:].any()
+    assert not (trace.fault_state[over:] == FaultState.CONFIRMED).any()
