@@ -357,10 +357,7 @@ def forget_faults(table: Table, state: layout.State) -> None:
     """The plant shows none of the faults that were known, and θ has learnt from the faults."""
     white = state.mismatch.white
     forget_car(table.mismatch, state.mismatch)
-    if state.fault_state == CONFIRMED:
-        withdraw_loss(table, state)
-    else:
-        set_aside(table, state)
+    withdraw_loss(table, state)
     white.fading.memory[:] = white.sensor_error.memory[:] = 0.0
 
 
