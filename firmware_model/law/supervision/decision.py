@@ -196,8 +196,9 @@ def shows_no_fault(
         w: G1 u1 since the loss, in d̂.
         error: what the known error of the sensor hides in d̂.
     """
-    own, told = state.hypotheses, state.echoes.actuators
-    if told[TORQUE].believed == 1 or told[FORCE].believed == 1 or own.found != NOTHING:
+    own, heard = state.hypotheses, state.echoes
+    told = heard.actuators[TORQUE].believed == 1 or heard.actuators[FORCE].believed == 1
+    if told or own.found != NOTHING:
         clear_health(own.health)
         return False
     share = known_share(state.loss_model, state.mismatch)
