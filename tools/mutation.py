@@ -232,6 +232,7 @@ class Session:
             return True
         _, self._cpu_s, entered = measured
         items = [i for i in session.items if self._cpu_s[i.nodeid] < self._below_s]
+        gc.unfreeze()  # frozen functions are not found
         known = functions()
         gc.collect()
         gc.freeze()

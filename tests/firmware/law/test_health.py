@@ -76,9 +76,12 @@ def test_a_finding_gives_the_faults_another_second():
     assert says[-1]
 
 
-def test_a_d_hat_that_is_no_number_ends_nothing():
+def test_a_d_hat_that_is_no_number_is_forgotten():
     constant = np.ones(3 * SECOND)
-    assert not told(math.nan * constant, 1.0, constant, 0.0 * constant).any()
+    residuals = np.where(np.arange(3 * SECOND) == 10, math.inf, 0.0)
+    says = told(residuals, 1.0, constant, 0.0 * constant)
+    assert not says[: 10 + SECOND].any()
+    assert says[-1]
 
 
 def test_a_push_that_ends_leaves_nothing_known():
