@@ -63,7 +63,7 @@ def refused(*arguments: object) -> str:
 def refuses(
     text: str, kind: type[RigError] | tuple[type[RigError], ...] = ScenarioError
 ) -> Iterator[None]:
-    """What is refused in one line that has ``text`` in it."""
+    """The block must raise a refusal of one line with ``text``."""
     with pytest.raises(kind) as caught:
         yield
     assert text in str(caught.value)

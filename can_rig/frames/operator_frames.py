@@ -261,7 +261,7 @@ def protected(frame: DbcMessage, data: Mapping[str, float | str], counter: int) 
 
 
 def intact(frame: DbcMessage, message: Message) -> dict[str, Any] | None:
-    """The signals in ``message``, one of ``frame``; None if it is damaged or of another kind."""
+    """The signals in ``message``, one of ``frame``; None for a damaged frame or another kind."""
     if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
         return None
     if len(message.data) != FRAME_BYTES or not e2e_p01_check(message.data, _data_id(frame)):

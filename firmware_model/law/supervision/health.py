@@ -6,9 +6,9 @@ cancels the first: then both stay known, and d̂ is next to nothing. The known f
 
     nearer Σ d̂² < Σ (s w)² + Σ (M e)²
 
-for the fading sums since the last finding. The plant then does what the model does, and a
-compensation has nothing to compensate: so this end can do no harm. A share s below ``least`` counts
-as ``least``, so a loss without a remaining share ends too.
+for the fading sums since the last finding, once the sums are old enough. The plant then does what
+the model does, and a compensation has hardly anything to compensate. A share s below ``least``
+counts as ``least``, so a loss without a remaining share ends too.
 """
 
 from __future__ import annotations
