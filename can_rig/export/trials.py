@@ -60,8 +60,7 @@ VALUES = (-2.0, 2.0)
 SPEEDS = (-5.0, 50.0)  # m/s: within the designs' range and outside
 STANDSTILLS = 0.01  # of all ticks
 INDICES = (
-    *(("estimator", f"{name}_index{end}") for name, end in
-      (("delay", ""), ("dead", "_1"), ("dead", "_2"), ("shown", "_1"), ("shown", "_2"))),
+    ("estimator.queue_1", "index"), ("estimator.queue_2", "index"),
     ("echoes", "index"), ("witness", "index"), ("mismatch.covariance", "first"),
 )  # fmt: skip
 SUMS = {
@@ -252,11 +251,10 @@ def random_table(
     ):  # fmt: skip
         filter.n = random.choice([0, 0, 1, 2])
     estimator = table.estimator
-    estimator.latency_ticks, estimator.dead_ticks_1, estimator.dead_ticks_2 = random.choice(
-        TICKS, 3
+    estimator.latency_ticks, *dead_ticks_of_each = random.choice(TICKS, 3)
+    estimator.shown_ticks_1, estimator.shown_ticks_2 = (
+        estimator.latency_ticks + ticks for ticks in dead_ticks_of_each
     )
-    estimator.shown_ticks_1 = estimator.latency_ticks + estimator.dead_ticks_1
-    estimator.shown_ticks_2 = estimator.latency_ticks + estimator.dead_ticks_2
     cars.n = random.integers(0, 5)
     table.hypotheses.signatures.n = random.choice([TORQUE_ECHO_ROW, ROWS])
     for row, kind in zip(table.hypotheses.signatures.rows, HYPOTHESES, strict=True):
@@ -274,7 +272,6 @@ def random_table(
     takeover.listening, takeover.returning, takeover.lasting = np.sort(random.integers(1, 30, 3))
     echoes = table.echoes
     echoes.longest, echoes.working = random.choice([0, 1, 5, 100]), random.integers(0, 5)
-    dead_ticks_of_each = estimator.dead_ticks_1, estimator.dead_ticks_2
     for actuator, dead_ticks in zip(echoes.actuators, dead_ticks_of_each, strict=True):
         actuator.stage.n = 1
         actuator.dead_ticks = random.integers(0, dead_ticks + 1)
@@ -333,12 +330,8 @@ def random_state(
     state: Any = states[0]
     fill(random, states, precision, even)
     constants, estimator = table.estimator, state.estimator
-    for index, size in (
-        ("delay_index", constants.latency_ticks), ("dead_index_1", constants.dead_ticks_1),
-        ("dead_index_2", constants.dead_ticks_2), ("shown_index_1", constants.shown_ticks_1),
-        ("shown_index_2", constants.shown_ticks_2),
-    ):  # fmt: skip
-        setattr(estimator, index, random.integers(0, max(size, 1)))
+    for name, ticks in (("queue_1", constants.shown_ticks_1), ("queue_2", constants.shown_ticks_2)):
+        estimator[name].index = random.integers(0, max(ticks, 1))
     if random.random() < 0.5:  # a candidate near its age limit
         test, own = state.sequential_test, state.sequential_test.candidate
         test.half_age, own.predicted = random.integers(2, 9), random.exponential()

@@ -81,12 +81,7 @@ def lumped(
 
 
 ANSWERS = ("command_1", "command_2", "fault_estimate")
-DELAYS = (  # rings of the estimator: index and length in ticks
-    ("delay_1", "delay_index", "latency_ticks"),
-    ("delay_2", "delay_index", "latency_ticks"),
-    ("dead_1", "dead_index_1", "dead_ticks_1"),
-    ("dead_2", "dead_index_2", "dead_ticks_2"),
-)
+QUEUES = (("queue_1", "shown_ticks_1"), ("queue_2", "shown_ticks_2"))  # length in ticks
 OPEN_INTEGRATOR = 1e-7  # |z - 1| below which a pole is an integrator
 Memory = tuple[tuple[str, ...], tuple[int, ...]]  # a path in the controller's state, an index
 
@@ -217,9 +212,9 @@ def linear_controller(table: Table, confirmed: float = 0.0) -> LinearController:
     controller.step_many(tables, states, inputs[1], inputs[0])
     latency = int(table.estimator.latency_ticks)
     estimator = states["estimator"]
-    for name, turned, length in DELAYS:  # the ring has turned by one: oldest first again
-        ring = estimator[name][:, : int(table.estimator[length])]
-        ring[:] = np.roll(ring, -estimator[turned][0], axis=1)
+    for name, length in QUEUES:  # the ring has turned by one: oldest first again
+        ring = estimator[name]["commands"][:, : int(table.estimator[length])]
+        ring[:] = np.roll(ring, -estimator[name]["index"][0], axis=1)
     after = np.array([field_of(states, path)[(slice(None), *index)] for path, index in memories])
     after = after.reshape(k, k + 2)  # valid without any memory, too
     answers = np.array([states[name] for name in ANSWERS])
@@ -329,8 +324,8 @@ def memories_of(table: Table) -> list[Memory]:
                 memories.append(((*path, "accumulators"), (i, 0)))
             if b2 or a2:
                 memories.append(((*path, "accumulators"), (i, 1)))
-    for name, _, length in DELAYS:
-        memories += [(("estimator", name), (j,)) for j in range(estimator[length])]
+    for name, length in QUEUES:
+        memories += [(("estimator", name, "commands"), (j,)) for j in range(estimator[length])]
     return memories
 
 

@@ -377,7 +377,6 @@ def _fill_estimator(
         estimator.feedthrough_2 = filters.estimator_2.feedthrough
     estimator.one_plus_q_feedthrough = filters.one_plus_q.feedthrough
     estimator.latency_ticks = target.latency_ticks
-    estimator.dead_ticks_1, estimator.dead_ticks_2 = dead
     estimator.shown_ticks_1, estimator.shown_ticks_2 = (
         target.latency_ticks + ticks for ticks in dead
     )

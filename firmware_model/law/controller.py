@@ -29,7 +29,12 @@ from typing import TYPE_CHECKING, Any
 from firmware_model.compiled import firmware
 from firmware_model.law.core.actuator import quantise, saturate
 from firmware_model.law.core.biquad import advance, settle
-from firmware_model.law.core.estimator import model_output, settle_estimator, take_measurement
+from firmware_model.law.core.estimator import (
+    model_output,
+    revise,
+    settle_estimator,
+    take_measurement,
+)
 from firmware_model.law.core.reference_shaper import start, tracked_reference
 from firmware_model.law.core.thesis import (
     MODE_BLIND,
@@ -219,7 +224,7 @@ def take_away(table: Table, state: State, r: float, y: float) -> None:
 
     Without latency F1 has taken in the commands already: d̂ is no estimate from then on.
     """
-    own, estimator, latency = state.monitor, state.estimator, table.estimator.latency_ticks
+    own, estimator, constants = state.monitor, state.estimator, table.estimator
     left_1, left_2 = watch(table.monitor, own, r, y, state.command_1, state.command_2)
     state.command_1, state.command_2 = left_1, left_2
     if own.reason == 0:
@@ -227,9 +232,9 @@ def take_away(table: Table, state: State, r: float, y: float) -> None:
     state.hypotheses.verdict = own.reason
     if own.reason > COMPENSATION_OFF:
         state.mode = MODE_SAFE_STOP
-    if latency > 0:
-        newest = (estimator.delay_index + latency - 1) % latency
-        estimator.delay_1[newest], estimator.delay_2[newest] = left_1, left_2
+    if constants.latency_ticks > 0:
+        revise(estimator.queue_1, constants.shown_ticks_1, 1, left_1)
+        revise(estimator.queue_2, constants.shown_ticks_2, 1, left_2)
 
 
 @firmware

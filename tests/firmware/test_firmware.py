@@ -73,7 +73,7 @@ def test_a_lost_channel_owes_what_it_was_told_in_time(latency, known):
     state.fault_state = known
     owing: list[Any] = [state.sequential_test, state.loss_model]
     for k, command in enumerate(sent):
-        state.estimator.delay_1[k] = command
+        state.estimator.queue_1.commands[k] = command
         for each in owing:
             each.delay[k] = advance(constants.channel_1, each.channel_1, command)
     firmware.act(7.0, 0.0)

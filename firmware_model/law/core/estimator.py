@@ -5,7 +5,8 @@ For an unstable plant the models are N1 and N2 of the left-coprime factors, comp
 
 The model gets each command together with the plant, ``latency_ticks`` after the computation. Held
 commands count too: an actuator without a new command keeps the last command. A delivered command
-then waits for the dead time of the channel plus the dead time of the sensor.
+then waits for the dead time of the channel plus the dead time of the sensor. Until then a command
+is in the queue of its channel.
 """
 
 from __future__ import annotations
@@ -17,8 +18,6 @@ from firmware_model.law.core import biquad
 from firmware_model.law.core.biquad import advance, output, settle
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SHOWN_TICKS, FloatArray, Struct
-
-RING = (MAX_LATENCY_TICKS,)
 
 
 class Constants(Struct):
@@ -35,18 +34,19 @@ class Constants(Struct):
     latency_ticks: Annotated[
         int, "tick", "from a sample until its command is at its actuator", (0, MAX_LATENCY_TICKS)
     ]
-    dead_ticks_1: Annotated[
-        int, "tick", "dead time of channel 1, from there until G1", (0, MAX_LATENCY_TICKS)
-    ]
-    dead_ticks_2: Annotated[
-        int, "tick", "dead time of channel 2, from there until G2", (0, MAX_LATENCY_TICKS)
-    ]
     shown_ticks_1: Annotated[
         int, "tick", "from a sample until its command 1 is at G1", (0, MAX_SHOWN_TICKS)
     ]
     shown_ticks_2: Annotated[
         int, "tick", "from a sample until its command 2 is at G2", (0, MAX_SHOWN_TICKS)
     ]
+
+
+class Queue(Struct):
+    """The commands of a channel on their way to its model, a ring."""
+
+    commands: Annotated[FloatArray, "command", "each from a tick", (MAX_SHOWN_TICKS,)]
+    index: Annotated[int, "1", "index of the next command at the model"]
 
 
 class State(Struct):
@@ -57,17 +57,46 @@ class State(Struct):
     one_plus_q: Annotated[biquad.State, "y", "state of 1 + Q"]
     measurement: Annotated[biquad.State, "y", "state of M"]
     measured: Annotated[float, "y", "y of this tick, or what stands in for y"]
-    delay_1: Annotated[FloatArray, "u1", "ring of commands on their way to the plant", RING]
-    delay_2: Annotated[FloatArray, "u2", "ring of commands on their way to the plant", RING]
-    delay_index: Annotated[int, "1", "index of the next acting command in the rings"]
-    dead_1: Annotated[FloatArray, "u1", "ring of commands in the dead time of channel 1", RING]
-    dead_2: Annotated[FloatArray, "u2", "ring of commands in the dead time of channel 2", RING]
-    dead_index_1: Annotated[int, "1", "index of G1's next command in the ring"]
-    dead_index_2: Annotated[int, "1", "index of G2's next command in the ring"]
+    queue_1: Annotated[Queue, "u1", "commands 1 on their way to G1"]
+    queue_2: Annotated[Queue, "u2", "commands 2 on their way to G2"]
     showing_1: Annotated[float, "u1", "command 1 visible in this tick's measurement"]
     showing_2: Annotated[float, "u2", "command 2 likewise"]
-    shown_index_1: Annotated[int, "1", "index of the next visible output in the rings of G1"]
-    shown_index_2: Annotated[int, "1", "index of the next visible output in the rings of G2"]
+
+
+@firmware
+def waiting(queue: Queue, ticks: int, waits: int, command: float) -> float:
+    """Return the command that has waited for ``waits`` of its ``ticks``; ``command`` for 0."""
+    if waits > 0:
+        command = queue.commands[(queue.index + ticks - waits) % max(ticks, 1)]
+    return command
+
+
+@firmware
+def arriving(queue: Queue, ticks: int, command: float) -> float:
+    """Return the command at the model in this tick; without ``ticks`` on its way, ``command``."""
+    if ticks > 0:
+        command = queue.commands[queue.index]
+    return command
+
+
+@firmware
+def pass_on(queue: Queue, ticks: int, command: float) -> float:
+    """Queue ``command`` for so many ``ticks``; return the command that leaves the queue."""
+    arrived = command
+    if ticks > 0:
+        arrived = queue.commands[queue.index]
+        queue.commands[queue.index] = command
+        queue.index = (queue.index + 1) % ticks
+    return arrived
+
+
+@firmware
+def revise(queue: Queue, ticks: int, waits: int, command: float) -> float:
+    """Put ``command`` in place of the command that has waited for ``waits`` ticks; return that."""
+    at = (queue.index + ticks - waits) % max(ticks, 1)
+    before: float = queue.commands[at]
+    queue.commands[at] = command
+    return before
 
 
 @firmware
@@ -78,47 +107,18 @@ def model_output(
 
     Without latency and dead time this tick's commands act, otherwise earlier commands.
     """
-    u1, u2 = command_1, command_2
-    if constants.latency_ticks > 0:
-        u1 = state.delay_1[state.delay_index]
-        u2 = state.delay_2[state.delay_index]
-    if constants.dead_ticks_1 > 0:
-        u1 = state.dead_1[state.dead_index_1]
-    if constants.dead_ticks_2 > 0:
-        u2 = state.dead_2[state.dead_index_2]
-    state.showing_1, state.showing_2 = u1, u2
-    y1 = output(constants.channel_1, state.channel_1, u1)
-    y2 = output(constants.channel_2, state.channel_2, u2)
+    state.showing_1 = arriving(state.queue_1, constants.shown_ticks_1, command_1)
+    state.showing_2 = arriving(state.queue_2, constants.shown_ticks_2, command_2)
+    y1 = output(constants.channel_1, state.channel_1, state.showing_1)
+    y2 = output(constants.channel_2, state.channel_2, state.showing_2)
     return y1, y2
 
 
 @firmware
 def advance_model(constants: Constants, state: State, command_1: float, command_2: float) -> None:
-    """Queue the commands of this tick; advance the model by the acting commands."""
-    u1, u2 = command_1, command_2
-    if constants.latency_ticks > 0:
-        index = state.delay_index
-        u1 = state.delay_1[index]
-        u2 = state.delay_2[index]
-        state.delay_1[index] = command_1
-        state.delay_2[index] = command_2
-        state.delay_index = (index + 1) % constants.latency_ticks
-    if constants.dead_ticks_1 > 0:
-        index = state.dead_index_1
-        arrived = u1
-        u1 = state.dead_1[index]
-        state.dead_1[index] = arrived
-        state.dead_index_1 = (index + 1) % constants.dead_ticks_1
-    if constants.dead_ticks_2 > 0:
-        index = state.dead_index_2
-        arrived = u2
-        u2 = state.dead_2[index]
-        state.dead_2[index] = arrived
-        state.dead_index_2 = (index + 1) % constants.dead_ticks_2
-    if constants.shown_ticks_1 > 0:
-        state.shown_index_1 = (state.shown_index_1 + 1) % constants.shown_ticks_1
-    if constants.shown_ticks_2 > 0:
-        state.shown_index_2 = (state.shown_index_2 + 1) % constants.shown_ticks_2
+    """Queue the commands of this tick; advance the model by the arriving commands."""
+    u1 = pass_on(state.queue_1, constants.shown_ticks_1, command_1)
+    u2 = pass_on(state.queue_2, constants.shown_ticks_2, command_2)
     advance(constants.channel_1, state.channel_1, u1)
     advance(constants.channel_2, state.channel_2, u2)
 
@@ -147,16 +147,10 @@ def settle_estimator(
         level = shown / for_one
     state.measured = level
     settle(constants.measurement, state.measurement, level)
-    state.delay_1[:] = command_1
-    state.delay_2[:] = command_2
-    state.delay_index = 0
-    state.dead_1[:] = command_1
-    state.dead_2[:] = command_2
-    state.dead_index_1 = 0
-    state.dead_index_2 = 0
+    state.queue_1.commands[:] = command_1
+    state.queue_2.commands[:] = command_2
+    state.queue_1.index = state.queue_2.index = 0
     state.showing_1, state.showing_2 = command_1, command_2
-    state.shown_index_1 = 0
-    state.shown_index_2 = 0
 
 
 @firmware
@@ -166,14 +160,3 @@ def clear_estimator(state: State) -> None:
     state.channel_2.accumulators[:] = 0.0
     state.one_plus_q.accumulators[:] = 0.0
     state.measurement.accumulators[:] = 0.0
-
-
-@firmware
-def pending_command(constants: Constants, state: State, i: int) -> float:
-    """The ``i``-th of the ``shown_ticks_1`` commands 1 on their way to G1, the next one first."""
-    dead, latency = constants.dead_ticks_1, max(constants.latency_ticks, 1)
-    if i < dead:
-        command: float = state.dead_1[(state.dead_index_1 + i) % dead]
-    else:
-        command = state.delay_1[(state.delay_index + i - dead) % latency]
-    return command

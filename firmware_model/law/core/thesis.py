@@ -153,7 +153,7 @@ def end_tick(table: Table, state: State, short_1: float, short_2: float) -> None
     advance(constants.channel_1, state.shortfall_1, short_1 * counts)
     missing = advance(constants.channel_2, state.shortfall_2, short_2 * counts)
     if constants.shown_ticks_2 > 0:
-        state.tracking.delay[state.estimator.shown_index_2] = missing
+        state.tracking.delay[state.estimator.queue_2.index] = missing
     advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
 
 

@@ -58,7 +58,7 @@ def missing_output(
 ) -> float:
     """Return G2 (asked - possible) in the measurement of this tick."""
     if constants.shown_ticks_2 > 0:
-        missing: float = own.delay[model.shown_index_2]
+        missing: float = own.delay[model.queue_2.index]
         return missing
     return output(constants.channel_2, shortfall_2, real(0.0, own.error))
 

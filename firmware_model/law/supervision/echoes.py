@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Annotated
 from firmware_model.compiled import firmware
 from firmware_model.law.core import biquad
 from firmware_model.law.core.biquad import advance, output
+from firmware_model.law.core.estimator import waiting
 from firmware_model.law.precision import real
 from firmware_model.law.structs import (
     MAX_COUNTED,
@@ -153,17 +154,11 @@ def advance_echoes(
     constants, plant = table.echoes, table.estimator
     if constants.longest == 0:
         return
-    u1, u2 = command_1, command_2
-    if plant.latency_ticks > 0:
-        u1 = model.delay_1[model.delay_index]
-        u2 = model.delay_2[model.delay_index]
     torque, force = constants.actuators[TORQUE], constants.actuators[FORCE]
-    if torque.dead_ticks > 0:
-        dead = max(plant.dead_ticks_1, 1)
-        u1 = model.dead_1[(model.dead_index_1 + dead - torque.dead_ticks) % dead]
-    if force.dead_ticks > 0:
-        dead = max(plant.dead_ticks_2, 1)
-        u2 = model.dead_2[(model.dead_index_2 + dead - force.dead_ticks) % dead]
+    waits_1 = plant.latency_ticks + torque.dead_ticks
+    waits_2 = plant.latency_ticks + force.dead_ticks
+    u1 = waiting(model.queue_1, plant.shown_ticks_1, waits_1, command_1)
+    u2 = waiting(model.queue_2, plant.shown_ticks_2, waits_2, command_2)
     own.index = (own.index + 1) % KEPT_TICKS
     echo = own.actuators[TORQUE]
     advance_echo(torque, plant.channel_1, echo, u1, own.index)

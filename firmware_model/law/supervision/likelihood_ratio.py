@@ -27,7 +27,7 @@ import numpy as np
 from firmware_model.compiled import firmware
 from firmware_model.law.core import biquad
 from firmware_model.law.core.biquad import advance, output
-from firmware_model.law.core.estimator import pending_command
+from firmware_model.law.core.estimator import arriving, waiting
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
 from firmware_model.law.supervision import candidate
@@ -72,7 +72,7 @@ class State(Struct):
 def candidate_shown(table: Table, test: State, model: estimator.State, command_1: float) -> float:
     """Return w as contained in d̂ of this tick, late by bus and dead time."""
     if table.estimator.shown_ticks_1 > 0:
-        w: float = test.delay[model.shown_index_1]
+        w: float = test.delay[model.queue_1.index]
         return w
     return output(table.estimator.channel_1, test.channel_1, command_1)
 
@@ -133,14 +133,13 @@ def start_candidate(
     test.half_age = test.half_information = test.half_predicted = 0.0
     test.of_takeover = of_takeover
     for i in range(shown):
-        command = pending_command(constants, model, i)
+        command = waiting(model.queue_1, shown, shown - i, command_1)
         w = output(g1, test.channel_1, command)
-        test.delay[(model.shown_index_1 + i) % shown] = w
+        test.delay[(model.queue_1.index + i) % shown] = w
         test.previous_output = w
         advance(g1, test.channel_1, command)
-    before = command_1
-    if shown > 0:  # the last acting command has left the ring and hardly differs
-        before = pending_command(constants, model, 0)
+    # the last acting command has left the queue and hardly differs from the next
+    before = arriving(model.queue_1, shown, command_1)
     advance(g1, test.earlier, before)
 
 
@@ -151,7 +150,7 @@ def advance_candidate(table: Table, test: State, model: estimator.State, command
     test.previous_output = w
     advance(table.estimator.channel_1, test.earlier, real(0.0, w))
     if table.estimator.shown_ticks_1 > 0:
-        test.delay[model.shown_index_1] = w
+        test.delay[model.queue_1.index] = w
 
 
 @firmware

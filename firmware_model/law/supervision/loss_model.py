@@ -76,7 +76,7 @@ def loss_output(table: Table, own: State, lost: float) -> float:
 def loss_shown(table: Table, own: State, model: estimator.State, lost: float) -> float:
     """Return w as contained in d̂ of this tick, late by bus and dead time."""
     if table.estimator.shown_ticks_1 > 0:
-        w: float = own.delay[model.shown_index_1]
+        w: float = own.delay[model.queue_1.index]
         return w
     return loss_output(table, own, lost)
 
@@ -95,7 +95,7 @@ def earlier_missing(table: Table, own: State, model: estimator.State, heard: ech
     Of earlier losses, late by bus and dead time, and by echoes.
     """
     if table.estimator.shown_ticks_1 > 0:
-        missing: float = own.fading_delay[model.shown_index_1]
+        missing: float = own.fading_delay[model.queue_1.index]
     else:
         missing = fading_output(table, own)
     if table.echoes.longest > 0:
@@ -155,8 +155,8 @@ def advance_loss_model(table: Table, own: State, model: estimator.State, lost: f
     fading = advance(table.estimator.channel_1, own.fading, zero)
     own.previous_fading = fading
     if table.estimator.shown_ticks_1 > 0:
-        own.delay[model.shown_index_1] = w
-        own.fading_delay[model.shown_index_1] = fading
+        own.delay[model.queue_1.index] = w
+        own.fading_delay[model.queue_1.index] = fading
 
 
 @firmware

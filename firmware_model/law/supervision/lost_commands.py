@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from firmware_model.compiled import firmware
 from firmware_model.law.core.biquad import advance
+from firmware_model.law.core.estimator import revise
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import MAX_SECTIONS, Records
@@ -37,15 +38,15 @@ def act(
         command_2: the command of actuator 2.
     """
     constants, model = table.estimator, state.estimator
-    at, owes = model.delay_index, state.fault_state == CONFIRMED
-    lost_1 = real(model.delay_1[at] - command_1, state.command_1)
-    lost_2 = real(model.delay_2[at] - command_2, state.command_2)
-    model.delay_1[at] = command_1
-    model.delay_2[at] = command_2
+    owes, latency = state.fault_state == CONFIRMED, constants.latency_ticks
+    late_1 = revise(model.queue_1, constants.shown_ticks_1, latency, command_1)
+    late_2 = revise(model.queue_2, constants.shown_ticks_2, latency, command_2)
+    lost_1 = real(late_1 - command_1, state.command_1)
+    lost_2 = real(late_2 - command_2, state.command_2)
     test, loss = state.sequential_test, state.loss_model
-    first = model.shown_index_1 - constants.latency_ticks
+    first = model.queue_1.index - latency
     lose_command_1(constants, state.shortfall_1, test, loss, owes, motion, first, lost_1)
-    first = model.shown_index_2 - constants.latency_ticks
+    first = model.queue_2.index - latency
     lose_command_2(constants, state.shortfall_2, state.tracking, motion, first, lost_2)
 
 

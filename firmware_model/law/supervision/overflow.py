@@ -12,7 +12,7 @@ from firmware_model.law.core.reference_shaper import start
 from firmware_model.law.core.shortfall import make_up
 from firmware_model.law.core.tracking import missing_output
 from firmware_model.law.precision import real
-from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SHOWN_TICKS
+from firmware_model.law.structs import MAX_SHOWN_TICKS
 from firmware_model.law.supervision.bumpless_transfer import release
 from firmware_model.law.supervision.corroboration import settle_corroboration
 from firmware_model.law.supervision.covariance import LOSS_STATES
@@ -61,15 +61,12 @@ def is_damaged(
     own: estimator.State, heard: echoes.State, seen: witness.State, known: mismatch.State
 ) -> bool:
     """Whether an index lies outside its array: no tick leaves it so, but a flipped bit does."""
-    late = outside(own.delay_index, MAX_LATENCY_TICKS)
-    dead_1 = outside(own.dead_index_1, MAX_LATENCY_TICKS)
-    dead_2 = outside(own.dead_index_2, MAX_LATENCY_TICKS)
-    shown_1 = outside(own.shown_index_1, MAX_SHOWN_TICKS)
-    shown_2 = outside(own.shown_index_2, MAX_SHOWN_TICKS)
+    queue_1 = outside(own.queue_1.index, MAX_SHOWN_TICKS)
+    queue_2 = outside(own.queue_2.index, MAX_SHOWN_TICKS)
     samples = outside(heard.index, KEPT_TICKS) or outside(seen.index, KEPT_TICKS)
     covariance = outside(known.covariance.first, LOSS_STATES + 1)
-    rings: bool = late or dead_1 or dead_2 or shown_1 or shown_2
-    return rings or samples or covariance
+    damaged: bool = queue_1 or queue_2 or samples or covariance
+    return damaged
 
 
 @firmware

@@ -124,7 +124,7 @@ SLOW = DesignSpecification(tau_s=0.02, alpha=3, tau_q_s=0.03, alpha_q=4)
 def test_f1_waits_for_the_dead_times_of_each_channel():
     """Whole ticks, sensor included; a loop without a fault then has no d̂."""
     table = build(design(KNOWN, SLOW), Target(TICK_S, latency_ticks=2, estimator="zoh"))
-    assert (table.estimator.dead_ticks_1, table.estimator.dead_ticks_2) == (3, 2)
+    assert (table.estimator.shown_ticks_1, table.estimator.shown_ticks_2) == (5, 4)
     assert table.estimator.latency_ticks == 2
     whole = behind(
         CAR, Stage(0.01, dead_time_s=0.003), Stage(0.02, dead_time_s=0.001), Stage(0.001)

@@ -129,7 +129,6 @@ def late(first_s: float = 0.0, second_s: float = 0.0, sensor_s: float = 0.0) -> 
 def test_the_way_of_a_command_is_bus_actuator_and_sensor(latency):
     """In whole ticks: 3.4 + 1 ms are 4, 4.7 + 1 ms are 6."""
     estimator = build(late(0.0034, 0.0047, 0.001), Target(TICK_S, latency)).estimator
-    assert (estimator.dead_ticks_1, estimator.dead_ticks_2) == (4, 6)
     assert (estimator.shown_ticks_1, estimator.shown_ticks_2) == (4 + latency, 6 + latency)
     assert build(late(second_s=0.002), Target(TICK_S, latency)).estimator.feedthrough_2 == 0.0
 
@@ -161,7 +160,7 @@ def test_a_dead_time_is_as_long_as_the_ring_at_most(channel):
         return late(*(TICK_S * ticks if each == channel else 0.0 for each in (1, 2)))
 
     estimator = build(dead(MAX_LATENCY_TICKS), Target(TICK_S)).estimator
-    assert estimator[f"dead_ticks_{channel}"] == MAX_LATENCY_TICKS
+    assert estimator[f"shown_ticks_{channel}"] == MAX_LATENCY_TICKS
     with pytest.raises(ParameterError) as caught:
         build(dead(MAX_LATENCY_TICKS + 1), Target(TICK_S))
     assert str(caught.value) == (

@@ -160,7 +160,7 @@ def test_where_one_of_the_models_is_lost_nothing_is_known_any_more(path):
     clear_memories(table, state)
     assert state.fault_state == FaultState.CLEAR
     fresh.command_1, fresh.command_2 = state.command_1, state.command_2
-    for name in ("delay_1", "delay_2", "delay_index", "shown_index_1", "shown_index_2"):
+    for name in ("queue_1", "queue_2"):
         fresh.estimator[name] = state.estimator[name]  # what is on its way still comes
     fresh.reference_shaper.previous_reference = state.reference_shaper.previous_reference
     fresh.takeover.pending = 1
@@ -168,8 +168,7 @@ def test_where_one_of_the_models_is_lost_nothing_is_known_any_more(path):
     assert answers(table, state) == answers(table, fresh)
 
 
-INDICES = ["estimator.delay_index", "estimator.dead_index_1", "estimator.dead_index_2",
-           "estimator.shown_index_1", "estimator.shown_index_2", "echoes.index", "witness.index",
+INDICES = ["estimator.queue_1.index", "estimator.queue_2.index", "echoes.index", "witness.index",
            "mismatch.covariance.first"]  # fmt: skip
 
 

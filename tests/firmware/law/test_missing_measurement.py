@@ -53,7 +53,7 @@ def drive(table: Any, lost: int | None, missed: int = MISSED) -> Run:
     for k, reference in enumerate(SINE.tolist()):
         missing = MISSING <= k < MISSING + missed
         loss = state.loss_model
-        w = float(loss.share * loss.delay[state.estimator.delay_index])
+        w = float(loss.share * loss.delay[state.estimator.queue_1.index])
         controller.step(table, state, reference, math.nan if missing else y)
         rows.append(
             (

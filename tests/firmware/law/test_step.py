@@ -159,8 +159,8 @@ def test_a_tick_without_a_measurement_tells_the_other_cars_and_the_candidate_wha
     table, state, _ = of(Target(TICK_S, 2, "zoh", on_confirmation=True))
     for _ in range(3):
         controller.step(table, state, 1.0, 0.0)
-    acting = [float(state.estimator.delay_1[state.estimator.delay_index])]
-    acting.append(float(state.estimator.delay_2[state.estimator.delay_index]))
+    queues = [state.estimator.queue_1, state.estimator.queue_2]
+    acting = [float(queue.commands[queue.index]) for queue in queues]
     w = float(state.sequential_test.previous_output)
     controller.step(table, state, math.inf, 0.0)
     assert [float(state.other_cars.command_1), float(state.other_cars.command_2)] == acting

@@ -219,8 +219,11 @@ def scenario_of(kind: str) -> Scenario:
 
 def value_bytes(dtype: np.dtype[np.void]) -> list[int]:
     """Offsets of all bytes of a record that are no padding."""
-    if dtype.fields is None:
+    if dtype.base.fields is None:
         return list(range(dtype.itemsize))
+    if dtype.shape:  # an array of records
+        each, size = value_bytes(dtype.base), dtype.base.itemsize
+        return [start + at for start in range(0, dtype.itemsize, size) for at in each]
     return [offset + at for kind, offset, *_ in dtype.fields.values() for at in value_bytes(kind)]
 
 
