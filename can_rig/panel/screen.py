@@ -51,7 +51,7 @@ STUCK_S: Final = 10.0
 """After which a browser that takes nothing at all is given up."""
 
 GOODBYE_S: Final = 1.0
-"""For a browser to answer that the connection ends."""
+"""How long a browser has to confirm the end of the connection."""
 
 
 class Viewer:

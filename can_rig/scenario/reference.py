@@ -59,8 +59,9 @@ def refuse_saturation(scenario: Scenario, network: Network) -> None:
     values = reference(scenario)
     largest = max(float(values.max()), -float(values.min()))
     if largest > frame.maximum:
+        reached = f"{largest:g} {frame.unit}".rstrip()
         raise ScenarioError(
-            f"scenario {scenario.name}: reference: reaches {largest:g} {frame.unit}; must be "
+            f"scenario {scenario.name}: reference: reaches {reached}; must be "
             f"at most {frame.maximum:g}, what {frame.name} carries"
         )
 

@@ -6,6 +6,7 @@
     (1436509052.249716) vcan2 123#R8                    a remote frame that asks for 8 bytes
     (1436509052.249717) vcan2 20000080#0000000000000000 bit 29: an error frame, its classes
     (1436509052.249718) vcan2 123#1122334455667788_9    a raw DLC above 8; the payload stays 8 bytes
+    # not of candump                                    a comment, which canplayer passes over, too
 
 Source: can-utils, `lib.h` (parse_canframe, sprint_canframe) and `candump.c`.
 """
@@ -51,7 +52,7 @@ _FD_FLAGS_SHIFT: Final = 4  # of BITRATE_SWITCH and ERROR_STATE, in candump's or
 def _line(text: UInt8s, at: int, names: NDArray[np.int64], row: UInt8s) -> scan.Found:
     """See `scan.Line`; ``names`` are those of the known buses, each with a newline behind it."""
     at = scan.blanks(text, at)
-    if text[at] == scan.NEWLINE:
+    if text[at] in (scan.NEWLINE, _HASH):
         return scan.NO_FRAME, 0, 0, 0, 0, 0, at
     if text[at] != _OPEN:
         return scan.BAD
@@ -174,6 +175,10 @@ class _Reader(TextReader):
             return bool(_DIRECTION.search(line))
         return int(frame.length[-1]) == (FD_BYTES if frame.flags[-1] & FD else CLASSIC_BYTES)
 
+    def ignorable(self, line: bytes) -> bool:
+        """A comment."""
+        return line.lstrip().startswith(b"#")
+
     def add_bus(self, line: bytes) -> None:
         """The second word of the line.
 
@@ -224,7 +229,7 @@ def candump_lines(frames: Frames) -> Iterator[str]:
 
 CANDUMP: Final = Format(
     key=".log",
-    mark=re.compile(rb"\s*\(\d+(\.\d*)?\)[ \t]+\S+[ \t]+[0-9A-Fa-f]+#"),
+    mark=re.compile(rb"(\s*#[^\n]*\n)*\s*\(\d+(\.\d*)?\)[ \t]+\S+[ \t]+[0-9A-Fa-f]+#"),
     read=_Reader.of,
     write=_write,
     name="a candump log",

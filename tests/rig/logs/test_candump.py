@@ -49,6 +49,16 @@ def test_what_candump_writes(tmp_path):
     assert directed[-1][4:] == (8, bytes.fromhex("1122334455667788"))
 
 
+@pytest.mark.parametrize("chunk_frames", [1, 1 << 18])
+def test_a_comment_is_passed_over(tmp_path, chunk_frames):
+    """At the beginning, between frames, and at an end without a newline."""
+    first, others = GOOD.split("\n", 1)
+    text = f"# (1.0) vcan0 1#00\n\n  # a drive\n{first}\n#{first}\n{others}# no more"
+    log = read_log(written(tmp_path, text), chunk_frames)
+    assert rows(concatenate(log)) == rows(whole(written(tmp_path, GOOD, "b.log")))
+    assert log.notice is None
+
+
 payloads = st.binary(max_size=8)
 frames_drawn = st.builds(
     lambda kind, identifier, extended, data, channel, time_us, sent: can.Message(
