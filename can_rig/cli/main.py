@@ -112,6 +112,9 @@ def _refuse(text: str, exit_status: int) -> NoReturn:
 def main(verbose: bool) -> None:
     """A fault-tolerant steering controller and a simulated car, over CAN.
 
+    SCENARIO is a name of `can-rig scenarios` or a TOML file. Without SCENARIO a command takes
+    `default`; `figures` draws the thesis.
+
     Exit status: 0 done, 1 the answer is no, 2 bad input, 3 a node or the bus fell silent,
     130 stopped by Ctrl-C.
     """

@@ -1,5 +1,5 @@
 """Frames into columns of physical values, through any CAN database; and the columns into files.
 
 `decode.decode_log` is the interface. The room imports `logs`, `frames`, `storage` and `errors`;
-`replay`, `views` and `cli` may import the room.
+rooms above may import `decoding`.
 """

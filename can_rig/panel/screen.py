@@ -45,7 +45,7 @@ MOST_FRAMES: Final = 5_000
 """The last frames, for a browser that begins to show frames."""
 
 MOST_WAITING: Final = 60
-"""Messages that wait for one browser, two seconds of them; then the oldest goes."""
+"""Messages that wait for one browser, a second of them; then the oldest goes."""
 
 STUCK_S: Final = 10.0
 """After which a browser that takes nothing at all is given up."""

@@ -167,7 +167,9 @@ def test_the_plant_of_ones_own_is_one(tmp_path, monkeypatch):
 
 def test_nothing_in_the_repository_cites_a_page_that_is_not_there():
     pages = {page.name for page in PAGES} | {"commands.md", "index.md"}  # made by tools/website
-    traps = re.findall(r"^(\d+)\. \*\*", text_of("docs/traps.md"), re.MULTILINE)
+    text = text_of("docs/traps.md")
+    traps = re.findall(r"^(\d+)\. \*\*", text, re.MULTILINE)
+    assert traps == re.findall(r"\b(\d+)\. \*\*", text)  # none within the one before
     assert traps == [str(number) for number in range(1, len(traps) + 1)]
     for folder in PLACES.split("|"):
         for file in (ROOT / folder).rglob("*"):
