@@ -29,25 +29,30 @@ from can_rig.nodes.bus_access import StopRequest
     "scenarios",
     metavar="NAME",
     multiple=True,
-    help="In place of the campaign's own; may be given several times.",
+    help="Scenario of the runs, in place of the campaign's own; repeatable.",
 )
 @set_option("Change one key of the scenario in every run")
-@click.option("--runs", type=click.IntRange(1), help="In place of the campaign's own number.")
-@click.option("--seed", type=click.IntRange(0), help="In place of the campaign's own.")
+@click.option(
+    "--runs", type=click.IntRange(1), help="Number of runs, in place of the campaign's own."
+)
+@click.option("--seed", type=click.IntRange(0), help="Seed, in place of the campaign's own.")
 @click.option(
     "--workers",
     type=click.IntRange(1),
-    help="Processes; the result does not depend on it.  [default: the cores]",
+    help="Number of processes, which does not change the result.  [default: the cores]",
 )
-@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster, in place of --workers.")
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Scheduler of a Dask cluster, in place of --workers."
+)
 @click.option(
     "--search",
     metavar="REQUIREMENT",
-    help="Look for the runs that fail it worst, or all of them; as many random ones beside.",
+    help="Look for the runs that fail this requirement worst (all: any requirement), beside as "
+    "many random runs.",
 )
 @click.option("--out", type=click.Path(path_type=Path), help="Folder [campaigns/CAMPAIGN-TIME].")
-@click.option("--resume", is_flag=True, help="Go on with the campaign that is in --out.")
-@click.option("--force", is_flag=True, help="Replace the campaign that is in --out.")
+@click.option("--resume", is_flag=True, help="Continue the campaign in --out.")
+@click.option("--force", is_flag=True, help="Replace the campaign in --out.")
 @json_option("The summary as one JSON object.")
 def command(
     campaign: str,

@@ -29,7 +29,7 @@ SMALL, TINY = 100.0, 1e-3
 
 @click.command("compare")
 @click.argument("controllers", nargs=-1, required=True, shell_complete=_controllers)
-@click.option("--scenario", default="default", show_default=True, metavar="NAME", help="To run.")
+@click.option("--scenario", default="default", show_default=True, metavar="NAME", help="Scenario.")
 @click.option(
     "--cases", "groups", metavar=",".join(CASES), help=f"Groups of cases.  [default: {USUAL}]"
 )
@@ -38,7 +38,7 @@ SMALL, TINY = 100.0, 1e-3
     "own",
     multiple=True,
     metavar="NAME:KEY=VALUE,KEY=VALUE",
-    help="A case of one's own, in place of the groups; repeatable.",
+    help="A case of your own, in place of the groups; repeatable.",
 )
 @set_option("Change one key of every run")
 @out_option("Draw the errors: FILE.png, .svg or .pdf.")

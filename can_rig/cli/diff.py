@@ -34,9 +34,9 @@ from can_rig.views.signal_table import SignalTable, read_table
     default="default",
     show_default=True,
     metavar="NAME",
-    help="Frames and tick of what is a log and no run folder.",
+    help="Scenario with the frames and the tick of a log; a run folder has its own.",
 )
-@out_option("Draw where they part: FILE.png, .svg or .pdf.")
+@out_option("Draw the differences: FILE.png, .svg or .pdf.")
 @json_option()
 @force_option
 def command(

@@ -47,12 +47,12 @@ RUNS: Final = 100
     required=True,
     type=click.Path(path_type=Path, file_okay=False),
     metavar="FOLDER",
-    help="Where to write it.",
+    help="Folder of the files.",
 )
 @click.option(
     "--precision",
     type=click.Choice(get_args(Precision)),
-    help="Of every real number.  [default: the scenario's design.precision]",
+    help="Precision of every real number.  [default: the scenario's design.precision]",
 )
 @click.option(
     "--prefix",
@@ -83,9 +83,7 @@ RUNS: Final = 100
     "several times.",
 )
 @click.option(
-    "--runs",
-    type=click.IntRange(1),
-    help=f"Of each campaign, from its first run on.  [default: {RUNS}]",
+    "--runs", type=click.IntRange(1), help=f"Number of runs of each campaign.  [default: {RUNS}]"
 )
 @force_option
 def command(

@@ -57,13 +57,13 @@ class _WithNegatives(click.Command):
     "for_s",
     type=click.FloatRange(operator_frames.SHORTEST_S, operator_frames.LONGEST_S),
     metavar="S",
-    help=f"Seconds that it lasts, {operator_frames.SHORTEST_S:g} to "
-    f"{operator_frames.LONGEST_S:g} in steps of 0.1.  [default: until it is cleared]",
+    help=f"Duration in seconds, {operator_frames.SHORTEST_S:g} to "
+    f"{operator_frames.LONGEST_S:g} in steps of 0.1.  [default: until cleared]",
 )
 @click.option(
     "--value",
     type=float,
-    help="The one number, in the unit of what fails; the size of what pushes.",
+    help="The number of a fault, in the unit of the failing signal, or the size of a disturbance.",
 )
 @click.option("--with", "other", type=click.Choice(MEASURED), help="The sensor swapped with WHAT.")
 def command(
@@ -76,16 +76,22 @@ def command(
 ) -> None:
     """Inject or clear a fault or a disturbance in a running simulation: inject torque dead --for 2.
 
-    WHAT is torque, force-difference, sensor (of D*), or a further sensor of the scenario: yaw-rate,
-    lateral-acceleration, steering-angle, torque-echo, force-difference-echo. HOW is the failure:
-    dead (--value: the remaining share), stuck, offset, drift, oscillating, rate-limited, late; a
-    sensor is biased rather than offset, or scaled. A further sensor is also invalid, tick-stuck or
-    swapped (--with), and an echo lying. The frames of each can fail too: missing, corrupted,
-    repeated, late or forged, as in frames-late. Or WHAT is world, and HOW is what pushes with
-    --value: gust (N, 0.3 m ahead of the centre of gravity), turbulence (N rms over 50 m), bank (%),
-    friction (a factor), steering-kick (N m); or push, of a plant other than a car. Or WHAT is clear
-    [all or one target], reference MPS2 (added to the scenario's reference), pace TIMES-REAL-TIME
-    (also ends a pause), pause, or step TICKS (of a paused run).
+    An actuator, torque or force-difference, is dead (--value: the remaining share), stuck, offset,
+    drift, oscillating, rate-limited or late. The sensor of D*, sensor, is biased in place of
+    offset, and may be scaled.
+
+    A further sensor of the scenario (yaw-rate, lateral-acceleration, steering-angle, torque-echo,
+    force-difference-echo) may also be invalid, tick-stuck or swapped (--with), and an echo lying.
+
+    The frames of each may be frames-missing, -corrupted, -repeated, -late or -forged.
+
+    world HOW pushes the plant with --value: gust (N, 0.3 m ahead of the centre of gravity),
+    turbulence (N rms over 50 m), bank (%), friction (a factor), steering-kick (N m); push, for a
+    plant other than a car.
+
+    clear [WHAT] ends all faults and disturbances, or those of WHAT. reference MPS2 adds to the
+    scenario's reference. pace X holds the run to X times real time, and ends a pause. pause stops
+    the run, and step TICKS lets a paused run go on for so many ticks.
     """
     if (other is None) == (how == "swapped"):
         raise click.UsageError("--with: must name the other sensor of a swap, and nothing else")

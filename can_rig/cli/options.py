@@ -102,8 +102,8 @@ controller_option = click.option(
     shell_complete=lambda _c, _p, begun: [each for each in CONTROLLERS if each.startswith(begun)],
     metavar=f"[{'|'.join(CONTROLLERS)}|{SERIAL}PORT]",
     show_default=True,
-    help="What runs: the law in Python; the law as C; ecu, the whole node in C; that on an "
-    "emulated Cortex-M, or on a board at a serial port.",
+    help="The controller that runs: the law in Python (python) or as C (c), or the whole node in "
+    "C, here (ecu), on an emulated Cortex-M (arm:m4f, arm:m7) or on a board at a serial port.",
 )
 
 
@@ -121,7 +121,7 @@ def interaction_options(function: Function) -> Function:
             type=float,
             callback=above_zero,
             metavar="X",
-            help="Lockstep no faster than X times real time.  [default: as fast as it can]",
+            help="Lockstep no faster than X times real time.  [default: as fast as possible]",
         ),
     ):
         function = decorate(function)

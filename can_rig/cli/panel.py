@@ -15,11 +15,13 @@ from can_rig.scenario import shipped
     metavar="NAME",
     help="Show nodes that run on this bus, and start none.  [default: a local bus of its own]",
 )
-@click.option("--allow-control", is_flag=True, help="With --bus: send what the page asks for too.")
+@click.option(
+    "--allow-control", is_flag=True, help="With --bus: also send the commands of the page."
+)
 @click.option(
     "--port",
     type=click.IntRange(0, 65535),
-    help="Of 127.0.0.1; 0: a free port.  [default: 8035, or else a free port]",
+    help="Port of 127.0.0.1; 0: a free port.  [default: 8035, or else a free port]",
 )
 def command(
     scenario: str, settings: tuple[str, ...], bus: str | None, allow_control: bool, port: int | None

@@ -76,18 +76,18 @@ def closing_table(scenario: Scenario, values: Metrics, outcome: Outcome, folder:
     multiple=True,
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Write the log here too when the run has ended, however: FILE.blf, .asc, .mf4, .trc, "
-    ".log or .log.gz.  Repeatable.",
+    help="Also write the log to this file after the run, however the run ended: FILE.blf, .asc, "
+    ".mf4, .trc, .csv, .log or .log.gz.  Repeatable.",
 )
 @click.option(
     "--in-process",
     is_flag=True,
-    help="Both nodes in this process; the same log, and far sooner unless --bus names one.",
+    help="Run both nodes in this process: the same log, and without --bus much faster.",
 )
 @click.option("--allow-unstable", is_flag=True, help="Run a loop that `can-rig check` refuses.")
 @silence_option("1.0")
 @controller_option
-@json_option("The metrics and how it went as one JSON object.")
+@json_option("The metrics and the outcome as one JSON object.")
 @realtime_option
 @interaction_options
 def command(

@@ -54,7 +54,7 @@ PICTURE = "tuning.png"
     "torque_noise_limit_nm",
     type=float,
     metavar="NM",
-    help="Largest rms of the torque, or of input 1, that it may cause.  [default: any]",
+    help="Largest rms of the torque, or of input 1, that this noise may cause.  [default: any]",
 )
 @click.option(
     "--out",
