@@ -151,8 +151,8 @@ def _compared(op: ast.cmpop, one: float | None, other: float | None) -> Verdict:
         return UNKNOWN
     passed = COMPARISONS[type(op)](one, other)
     distance = abs(float(one) - float(other)) / (abs(float(other)) or 1.0)
-    if isinstance(op, ast.Eq | ast.NotEq) and distance == 0.0:
-        distance = 1.0
+    if distance == 0.0:  # the least number keeps the sign of a comparison at its bound
+        distance = 1.0 if isinstance(op, ast.Eq | ast.NotEq) else sys.float_info.min
     return Verdict(passed, distance if passed else -distance)
 
 
