@@ -100,16 +100,19 @@ class Base:
             chosen = axis.values[min(int(unit * len(axis.values)), len(axis.values) - 1)]
             return sign * chosen if axis.either_sign and not isinstance(chosen, str) else chosen
         low, high = self._ends(key, axis)
+        whole = isinstance(self.value(key), int) and not axis.others
+        if whole and self.settings.sampling != "grid":
+            low, high = float(math.ceil(low)), math.floor(high) + 1.0
         if axis.scale == "log":
             value = math.exp(math.log(low) + unit * (math.log(high) - math.log(low)))
         else:
             value = low + unit * (high - low)
         if axis.others:
             return sign * value
-        if isinstance(self.value(key), int):
-            if self.settings.sampling == "grid":
-                return round(value)
-            return min(math.floor(low + unit * (high + 1.0 - low)), math.floor(high))
+        if whole and self.settings.sampling == "grid":
+            return round(sign * value)
+        if whole:
+            return round(sign * min(max(math.floor(value), low), high - 1.0))
         value = float(f"{sign * value:.{DIGITS}g}")
         if key.endswith(".lag_s") and 0.0 < value < SHORTEST_LAG_S:  # shorter lags do not exist
             return 0.0 if value < 0.5 * SHORTEST_LAG_S else SHORTEST_LAG_S

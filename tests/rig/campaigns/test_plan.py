@@ -109,6 +109,23 @@ def test_a_log_scale_has_as_much_in_each_decade():
     assert np.histogram(np.log10(values), [-4, -3, -2, -1])[0].tolist() == [100, 100, 100]
 
 
+def test_whole_numbers_have_the_scale_of_their_range_and_stay_within():
+    axes = {"latency_ticks": {"range": [1.0, 63.0], "scale": "log"}}
+    made = planned(runs=600, sampling="latin-hypercube", axes=axes)
+    drawn = [made.values_of(run)["latency_ticks"] for run in range(600)]
+    doubling = [1, 2, 4, 8, 16, 32, 64]  # as many in each, the end of the range included
+    assert np.histogram(drawn, doubling)[0].tolist() == [100] * 6
+    made = planned(runs=50, axes={"latency_ticks": {"range": [1.6, 3.4]}})
+    assert {made.values_of(run)["latency_ticks"] for run in range(50)} == {2, 3}
+
+
+def test_the_sign_of_a_whole_number_is_not_lost():
+    axes = {"seed": {"range": [1.0, 9.0], "either_sign": True}}
+    with refuses("seed = -"):
+        made = planned(runs=20, axes=axes)
+        [made.scenario_of(run) for run in range(20)]
+
+
 def test_the_number_and_the_seed_decide_and_nothing_else():
     made, again = (planned(runs=50, seed=3, axes=MASS) for _ in range(2))
     backwards = [again.changes_of(run) for run in reversed(range(50))][::-1]
