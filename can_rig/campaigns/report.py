@@ -255,7 +255,8 @@ def html_page(plan: Plan, summary: Summary, figure: Figure) -> str:
         )]  # fmt: skip
     if alarms["per_hour"] is not None:
         parts.append(
-            f"<p>{alarms['false_alarms']} false alarms: {alarms['per_hour']:.3g} an hour "
+            f"<p>{alarms['false_alarms']} false alarms in {alarms['hours']:.4g} h without a loss: "
+            f"{alarms['per_hour']:.3g} an hour "
             f"(95 %: {alarms['low']:.3g} to {alarms['high']:.3g}).</p>"
         )
     parts += [

@@ -39,6 +39,7 @@ METRICS: Final = (
     "suspicions",
     "false_alarms",
     "false_alarms_per_hour",
+    "torque_healthy_s",
     "torque_peak_nm",
     "torque_at_fault_nm",
     "torque_peak_after_fault_nm",

@@ -130,8 +130,8 @@ class Summary:
         runs, failed: number of runs, and number of runs without metrics.
         reasons: reasons of failed runs, the most frequent first.
         hours: simulated.
-        false_alarms: number, and per hour of the runs that count them, with the exact (Poisson)
-            interval of ``CONFIDENCE``.
+        false_alarms: number, the hours without a loss of the torque in runs that count them, and
+            the number per such hour with the exact (Poisson) interval of ``CONFIDENCE``.
         rates: for each requirement, and for all together.
         spreads: for each metric used by a requirement.
         worst: rows of the runs with the least margin, searched or not.
@@ -162,11 +162,12 @@ def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> 
     names = plan.settings.names
     hours = sum(s or 0.0 for s in columns["simulated_s"]) / HOUR_S
     alarms = round(sum(n or 0 for n in columns["false_alarms"]))
-    pairs = zip(columns["simulated_s"], columns["false_alarms"], strict=True)
+    pairs = zip(columns["torque_healthy_s"], columns["false_alarms"], strict=True)
     counted = sum(s or 0.0 for s, n in pairs if n is not None) / HOUR_S
     low, high = poisson_interval(alarms)
     per_hour = {
         "false_alarms": alarms,
+        "hours": counted,
         "per_hour": alarms / counted if counted else None,
         "low": low / counted if counted else None,
         "high": high / counted if counted else None,
@@ -300,7 +301,7 @@ def metrics_shown(required: Sequence[Requirement]) -> list[str]:
 def columns_needed(plan: Plan, required: Sequence[Requirement]) -> list[str]:
     """The columns of the table of runs that a summary reads."""
     names = [
-        "run", "simulated_s", "failure", "false_alarms", "margin", "command",
+        "run", "simulated_s", "failure", "false_alarms", "torque_healthy_s", "margin", "command",
         *plan.settings.names,
         *metrics_shown(required),
         *(name for each in required for name in sorted(each.names)),

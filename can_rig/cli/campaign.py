@@ -175,7 +175,7 @@ def _print(summary: Summary, folder: CampaignFolder) -> None:
     alarms = summary.false_alarms
     if alarms["per_hour"] is not None:
         say(
-            f"false alarms  {alarms['false_alarms']} in {summary.hours:.4g} h, "
+            f"false alarms  {alarms['false_alarms']} in {alarms['hours']:.4g} h without a loss, "
             f"{alarms['per_hour']:.3g} an hour (95 %: {alarms['low']:.3g} .. {alarms['high']:.3g})"
         )
     for reason, count in list(summary.reasons.items())[:3]:

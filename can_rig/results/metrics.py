@@ -79,22 +79,21 @@ def windows(scenario: Scenario, signals: Signals) -> Windows:
         lambda rows: np.rint(signals.time_s[rows] / scenario.tick_s) * scenario.tick_ns,
     )
     after, active, lost = np.zeros((3, len(signals)), dtype=np.bool_)
-    end_ns = 0
+    last_ns, changed_ns = time_ns.max(initial=0.0), 0
     for fault in scenario.faults:
         begin_ns, its_end_ns = fault.span_ns
         its = (time_ns >= begin_ns) & (time_ns < its_end_ns)
         after |= time_ns >= begin_ns
         active |= its
         lost |= its & fault.loses_a_channel
-        end_ns = max(end_ns, its_end_ns)
-    recovered = after & (time_ns >= end_ns)
+        changed_ns = max([changed_ns, *(ns for ns in fault.span_ns if ns <= last_ns)])
     return Windows(
         before=~after,
         after=after,
         active=active,
         lost=lost,
         settled_before=_end(time_ns, ~after, wanted_s),
-        settled_after=_end(time_ns, recovered if recovered.any() else after, wanted_s),
+        settled_after=_end(time_ns, after & (time_ns >= changed_ns), wanted_s),
     )
 
 
@@ -388,7 +387,7 @@ def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | 
     for fault in scenario.faults:
         if fault.loses_a_channel and fault.place == TORQUE:
             shown |= _shown(scenario, signals, fault)
-    healthy_h = float((~lost).sum()) * scenario.tick_s / HOUR_S
+    healthy_s = float((~lost).sum()) * scenario.tick_s
     confirmed, suspected = _claims(signals, TORQUE), _suspicions(signals)
     alarms = int((_begins(confirmed) & ~shown).sum())
     says = _says(scenario, signals.fault_state) and len(signals) > 0
@@ -398,7 +397,8 @@ def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | 
         "missed_detection": any(missed) if missed else None,
         "suspicions": int((_begins(suspected) & ~shown).sum()) if says else None,
         "false_alarms": alarms if says else None,
-        "false_alarms_per_hour": alarms / healthy_h if says and healthy_h > 0.0 else None,
+        "false_alarms_per_hour": alarms * HOUR_S / healthy_s if says and healthy_s else None,
+        "torque_healthy_s": round(healthy_s, DECIMALS) if len(signals) else None,
     }
 
 
@@ -637,11 +637,12 @@ def harm_metrics(
 
 def _placed(scenario: Scenario, signals: Signals) -> dict[str, bool | str | None]:
     """Where the faults are, the longest verdict since the first fault, and its truth."""
-    faulty = {fault.place for fault in scenario.faults}
+    end_s = signals.time_s[-1] + 1e-9 if len(signals) else 0.0
+    faulty = {fault.place for fault in scenario.faults if fault.at_s <= end_s}
     place = " and ".join(sorted(faulty)) or "nothing" if len(signals) else None
     if signals.verdict is None or not len(signals) or not _says(scenario, signals.verdict):
         return {"place": place, "verdict": None, "right_place": None, "wrong_place": None}
-    first = min((fault.at_s for fault in scenario.faults), default=0.0)
+    first = min((fault.at_s for fault in scenario.faults if fault.at_s <= end_s), default=0.0)
     counts = np.zeros(len(Verdict), dtype=np.int64)
     for rows in paged.blocks(len(signals)):
         codes = signals.verdict[rows][signals.time_s[rows] >= first - 1e-9]

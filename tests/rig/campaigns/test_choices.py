@@ -7,13 +7,14 @@ from itertools import combinations
 from typing import Any
 
 import pytest
+from scipy.stats import chi2
 
 from can_rig.assessment.resolve import load
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.requirements import Requirement
 from can_rig.campaigns.rows import require_tables, requirements_of, run_row, schema
 from can_rig.campaigns.settings import campaign_of, read_campaign, shipped
-from can_rig.campaigns.statistics import cross, parts_by_name
+from can_rig.campaigns.statistics import ALWAYS_SHOWN, cross, parts_by_name, summarise
 from can_rig.errors import ScenarioError
 from can_rig.scenario.sensor_settings import MEASURED
 from tests.helpers import refuses
@@ -209,6 +210,18 @@ def test_a_table_counts_each_run_once():
     assert worst.command == "c"
     assert (late.spreads[0].median, late.spreads[0].greatest) == (0.4, 0.9)
     assert found.rows[1].worst == {} and found.rows[1].spreads == []
+
+
+def test_false_alarms_an_hour_are_of_the_hours_in_which_one_can_begin():
+    """Of four hours the torque is lost in two, and one more has no count."""
+    names = ("run", "command", "false_alarms", "simulated_s", "fault.0")
+    columns = {name: COLUMNS[name] for name in names}
+    healthy = {"torque_healthy_s": [1800.0, 1800.0, 1800.0, 3600.0, 1800.0]}
+    shown = {name: [None] * 5 for name in ("failure", "margin", *ALWAYS_SHOWN)}
+    found = summarise(planned(runs=5), [], columns | healthy | shown)
+    alarms = found.false_alarms
+    assert (found.hours, alarms["hours"], alarms["per_hour"]) == (5.0, 2.0, 1.5)
+    assert alarms["high"] == pytest.approx(chi2.ppf(0.975, 8) / 2.0 / 2.0)
 
 
 def test_many_numbers_are_eight_rows_and_few_are_their_own():

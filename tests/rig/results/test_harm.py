@@ -173,6 +173,7 @@ def test_a_log_without_reports_of_the_plant_has_no_true_deviation():
      ([0, 3, 3, np.nan], ["fault.at_s=0", "fault.channel=force-difference"], "FORCE_LOST", True,
       False), ([0, 2, 0, 0], ["fault.kind=none"], "TORQUE_OFFSET", None, True),
      ([1, 1, 1, 4, 0, 0], ["fault.at_s=0.003"], "SENSOR_WRONG", False, True),
+     ([0, 4, 4, 1], ["fault.at_s=0.004"], "SENSOR_WRONG", None, True),  # it is yet to come
      ([5, 1, 1, 1, 4, 4], ["fault.at_s=0.001", "fault.1.kind=sensor-biased", "fault.1.at_s=0.004",
                            "fault.1.bias_mps2=1"], "TORQUE_LOST", True, False)],
 )  # fmt: skip

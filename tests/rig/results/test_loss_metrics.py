@@ -53,6 +53,7 @@ def test_the_decision_is_what_the_status_frames_say():
     assert values["false_alarms"] == 2
     assert values["suspicions"] == 3
     assert values["false_alarms_per_hour"] == pytest.approx(2 * 3600.0 / 2.6)
+    assert values["torque_healthy_s"] == 2.6
 
 
 @pytest.mark.parametrize(

@@ -217,6 +217,16 @@ def test_windows_of_a_passing_fault_settle_after_it_has_passed():
     assert spans(load("thesis-step", settings))["settled_after"] == (19.99, 19.995)
 
 
+@pytest.mark.parametrize("for_s", [None, 1.0])
+def test_windows_of_two_faults_settle_after_the_last_change(for_s):
+    """A first fault that lasts or is over, and a second one a second before the end."""
+    first = [] if for_s is None else [f"fault.for_s={for_s}"]
+    second = ["fault.1.kind=sensor-biased", "fault.1.at_s=19"]
+    found = spans(load("thesis-step", ["tick_s=0.01", *first, *second]))
+    assert found["after"] == (10.0, 19.99)
+    assert found["settled_after"] == (19.5, 19.99)
+
+
 def test_two_periods_of_a_slow_reference_count_as_settled():
     settings = ["tick_s=0.01", "reference.frequency_rad_per_s=3.141592653589793"]
     assert spans(load("thesis-sine", settings))["settled_after"] == (15.99, 19.99)
