@@ -557,6 +557,8 @@ def _known_already(scenario: Scenario, signals: Signals, at: int, begun: int) ->
 
 def _compensated(scenario: Scenario, signals: Signals, there: Mask) -> bool:
     """Whether compensation keeps D* of the car close to the run without the fault."""
+    if not scenario.controller.is_ours:  # no other controller has a switch for its compensation
+        return False
     healthy = fault_free(scenario, signals).car_mps2[there]
     with_it, without = (
         float(np.sqrt(np.nanmean((car[there] - healthy) ** 2)))

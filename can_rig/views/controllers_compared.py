@@ -19,12 +19,12 @@ from can_rig.drawing.thinning import thinned
 from can_rig.errors import RigError, ScenarioError
 from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.results.counterfactual import signals_without_log
+from can_rig.results.metrics import decision_metrics
 from can_rig.results.signals import Signals
 from can_rig.scenario.controller_settings import PEERS
 from can_rig.scenario.from_python import settings_of
 from can_rig.scenario.loading import Changes, written
 from can_rig.scenario.settings import Scenario
-from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
 
 if TYPE_CHECKING:
@@ -85,8 +85,8 @@ class Compared:
         error_peak_mps2: of |r - y|, y without the sensor's errors.
         error_rms_mps2: likewise.
         error_settled_mps2: the peak of the last 2 s.
-        confirmed_after_s: from the fault to the first ``CONFIRMED``; None: never, or not said.
-        false_alarm: whether ``CONFIRMED`` came before; None: not said.
+        confirmed_after_s: ``detection_delay_s`` of a run; None: no loss is found, or not said.
+        false_alarm: whether a loss of the torque was confirmed without one; None: not said.
         torque_peak_nm: of the whole run.
         force_difference_peak_n: likewise.
         failure: a line where the run failed; the figures are then not numbers.
@@ -237,10 +237,8 @@ def _figures(controller: str, case: str, scenario: Scenario, signals: Signals) -
     size = np.abs(_error(signals))
     if not np.isfinite(size[after]).all():
         return Compared(controller, case, failure="the output is not a number: the loop diverges")
-    confirmed = signals.fault_state == FaultState.CONFIRMED
-    says = np.isfinite(signals.fault_state).any()
-    fault_s = min((fault.at_s for fault in scenario.faults), default=math.inf)
-    found = signals.time_s[confirmed & (signals.time_s >= fault_s)]
+    decided = decision_metrics(scenario, signals)
+    delay_s, alarms = decided["detection_delay_s"], decided["false_alarms"]
     settled = size[signals.time_s >= signals.time_s[-1] - SETTLED_S]
     return Compared(
         controller,
@@ -248,8 +246,8 @@ def _figures(controller: str, case: str, scenario: Scenario, signals: Signals) -
         error_peak_mps2=float(size[after].max()),
         error_rms_mps2=float(np.sqrt(np.mean(size[after] ** 2))),
         error_settled_mps2=float(settled.max()),
-        confirmed_after_s=float(found[0] - fault_s) if len(found) else None,
-        false_alarm=bool((confirmed & (signals.time_s < fault_s)).any()) if says else None,
+        confirmed_after_s=delay_s,
+        false_alarm=None if alarms is None else alarms > 0,
         torque_peak_nm=float(np.nanmax(np.abs(signals.torque_nm))),
         force_difference_peak_n=float(np.nanmax(np.abs(signals.force_difference_n))),
         never="; ".join(scenario.never),

@@ -44,6 +44,36 @@ def test_the_figures_are_those_of_a_run_with_frames(tmp_path):
     assert (tmp_path / "picture.png").read_bytes()[:4] == b"\x89PNG"
 
 
+CRIES = """
+from can_rig.controllers.protocol import Answer
+
+class Cries:
+    def __init__(self, setup):
+        self.ticks = 0
+
+    def reset(self, reference):
+        self.ticks = 0
+
+    def step(self, inputs):
+        self.ticks += 1
+        confirmed = 2 if self.ticks > 1000 else 0
+        return Answer(40.0 * inputs.reference, 0.0, fault_state=confirmed)
+"""
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_confirmation_counts_for_the_loss_in_which_it_begins_alone(tmp_path, monkeypatch):
+    """Whatever happens, this controller confirms a loss of the torque at 1 s."""
+    (tmp_path / "cries.py").write_text(CRIES)
+    monkeypatch.chdir(tmp_path)
+    biased = {"fault.kind": "sensor-biased", "fault.at_s": 0.8}
+    cases = {"in time": LOST, "before": LOST | {"fault.at_s": 1.1}, "of the sensor": biased}
+    found = can_rig.compare(["cries:Cries"], changes=SHORT, cases=cases)
+    assert [(row.confirmed_after_s, row.false_alarm) for row in found.rows] == [
+        (0.2, False), (None, True), (None, True),
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("group", CASES)
 def test_every_shipped_case_loads(group):
     for changes in CASES[group].values():
