@@ -26,10 +26,10 @@ D* is sampled at the start of the tick and the plant's two frames are queued. Th
 both after their worst-case response, computes for `compute_s`, and queues its three frames. The
 period of all five is the tick; nothing else is on the bus.
 
-If the last answer is sent before the tick ends, the two groups never meet: every tick finds the bus
-free, so each group is analysed by itself. Otherwise all five frames are analysed together at any
-phase: the controller queues its answers between the start of the tick and the moment above; this
-range is their jitter.
+If the last answer is sent before the tick ends, every tick finds the bus free, so each group is
+analysed by itself; further sensors that the answers overtake may be the last of the tick. Otherwise
+all frames are analysed together at any phase: the controller queues its answers between the start
+of the tick and the moment above; this range is their jitter.
 
 A command that has arrived acts from the start of the next tick, so the latency in ticks is the
 arrival of the later command over the tick, rounded up: 1 where the exchange fits in a tick.
@@ -294,11 +294,11 @@ def network_timing(
         codec.frame_id: period
         for codec, period in zip(network.witnesses, network.periods, strict=True)
     }
-    plant = [_of_tick(codec, tick) for codec in network.inputs]
-    plant += [_of_tick(codec, tick * periods[at]) for at, codec in further.items()]
+    inputs = [_of_tick(codec, tick) for codec in network.inputs]
+    plant = inputs + [_of_tick(codec, tick * periods[at]) for at, codec in further.items()]
     commands = [_of_tick(codec, tick) for codec in (network.command_1, network.command_2)]
     answers = [*commands, _of_tick(network.status, tick)]
-    frames = _apart(plant, answers, bitrate, compute)
+    frames = _outranked(_apart(plant, answers, bitrate, compute), inputs, plant, answers)
     last = _latest(frames)
     if last is None or last > tick:
         frames = _together(plant, answers, bitrate, compute)
@@ -387,6 +387,28 @@ def _apart(
     measured = [_timing(response) for response in response_times(plant, bitrate)]
     release = (_latest(measured) or 0) + compute
     return [*measured, *(_timing(r, release) for r in response_times(answers, bitrate))]
+
+
+def _outranked(
+    frames: Sequence[FrameTiming],
+    inputs: Sequence[PeriodicFrame],
+    plant: Sequence[PeriodicFrame],
+    answers: Sequence[PeriodicFrame],
+) -> list[FrameTiming]:
+    """The two groups, where the answers overtake further sensors that wait behind the inputs.
+
+    Such a frame is queued at the start of the tick and the bus is never idle before it is sent, so
+    every other frame of the tick at most comes first.
+    """
+    behind = max(*(frame.priority for frame in inputs), min(frame.priority for frame in answers))
+    overtaken = {frame.name for frame in plant if frame.priority > behind}
+    whole = sum((frame.transmission_s for frame in frames), Fraction(0))
+    return [
+        replace(frame, response_s=whole)
+        if frame.name in overtaken and frame.response_s is not None
+        else frame
+        for frame in frames
+    ]
 
 
 def _together(

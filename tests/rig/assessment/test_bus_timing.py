@@ -17,8 +17,10 @@ from can_rig.assessment.frame_length import (
     FrameError,
     worst_case_bits,
 )
+from can_rig.assessment.resolve import load
 from can_rig.frames.foreign_frames import FD_LENGTHS
 from can_rig.frames.network import load_network
+from can_rig.scenario.build import network_of
 from tests.helpers import DBC
 from tests.rig.assessment.simulated_bus import simulate
 from tests.rig.assessment.wire import bits_of, classic, flexible
@@ -113,6 +115,23 @@ def test_no_frame_of_a_simulated_exchange_arrives_later_than_said(tick, compute,
     took = [chance.choice([compute, chance.randint(0, compute)]) for _ in range(12)]
     for (frame, _), arrival in exchange(tick, took, lengths, 12).items():
         assert arrival * US <= timing.frames[frame].arrival_s
+
+
+@pytest.mark.parametrize("compute", [0, 50, 100, 400, 2000])
+def test_further_sensors_that_the_answers_overtake_arrive_as_late_as_said(compute):
+    """Five sensors behind the inputs: the answer to the inputs comes before them."""
+    network = network_of(load("cluster"))
+    behind = [replace(each, frame_id=0x300 + at) for at, each in enumerate(network.witnesses)]
+    network = replace(network, witnesses=tuple(behind))
+    timing = network_timing(network, 1_000_000, 0.004, compute * US)
+    said = {frame.name: frame.arrival_s / US for frame in timing.frames}
+    plant = [(0, frame, 0) for frame in (0, 1, *range(5, 10))]
+    answers = [(270 + compute, frame, 0) for frame in (2, 3, 4)]
+    ends = simulate([*plant, *answers], [135] * 10)
+    for frame, codec in enumerate((*network, *network.witnesses)):
+        assert ends[frame, 0] <= said[codec.name]
+    assert said[behind[-1].name] == 1350
+    assert timing.latency_ticks == 1
 
 
 def test_an_exchange_of_longest_frames_arrives_as_late_as_said():
