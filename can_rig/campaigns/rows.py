@@ -259,8 +259,8 @@ def run_row(plan: Plan, required: list[Requirement], run: int, values: dict[str,
     try:
         scenario = base.scenario_with(changes)
         row["seed"] = scenario.seed
-        row["simulated_s"] = scenario.ticks * scenario.tick_s
         metrics = metrics_of(scenario)
+        row["simulated_s"] = scenario.ticks * scenario.tick_s
     except RigError as error:
         return {**row, "failure": one_line(error)}
     except (

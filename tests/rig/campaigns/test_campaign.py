@@ -294,6 +294,7 @@ def test_a_run_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch):
     found = run_rows(some, Task(0, 4))
     assert "failure" not in found[0]
     assert "axle broken" in found[2]["failure"]
+    assert ["simulated_s" in row for row in found] == [True, False, False, False]
     assert all("tick_s = 1e-09: must be" in found[at]["failure"] for at in (1, 3))
 
     def impossible(_: Scenario) -> Metrics:
