@@ -38,9 +38,9 @@ from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray
 
-HEALTHY_S, LOST_S = 4.0, 3.0  # of a drive
-FEWEST_TICKS = 400  # of either, where a tick is long
 RETURN_S = 2.0  # within which D* must be back
+HEALTHY_S, LOST_S = 4.0, 3.0 + RETURN_S  # of a drive; what is away after 3 s has time to return
+FEWEST_TICKS = 400  # of either, where a tick is long
 TOGETHER_S = 0.5  # a shorter return of D* still counts as away
 AWAY = 0.1  # of the largest reference, beside the noise
 NOISE_SIGMAS = 8.0

@@ -67,6 +67,14 @@ def test_a_calm_loop_is_calm(name, settings):
     refuse_unstable(scenario)
 
 
+def test_a_drive_does_not_end_before_what_is_away_could_return():
+    """Satellites that lose their sweep after the loss: runs of 120 s end 1.4 and 4.7 rad away."""
+    scenario = load("satellite", ["budget.box=0.3"])
+    found = box_findings(Drives(scenario, network_of(scenario)))
+    assert found
+    assert all("dead" in each.text and "is away" in each.text for each in found)
+
+
 def test_a_car_outside_the_box_is_named_for_its_false_alarm():
     scenario = with_other_car()
     (found,) = findings_of(scenario)
