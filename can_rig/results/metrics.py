@@ -362,13 +362,18 @@ def unavoidable_deviation(
 
 
 def _commands_lost(scenario: Scenario, signals: Signals, fault: FaultSettings) -> FloatArray | None:
-    """The commands at a dead actuator from its loss on; None for an incomplete log."""
+    """The commands at a dead actuator from its loss on, zero after its end.
+
+    None for an incomplete log.
+    """
     n = scenario.latency_ticks
     first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
-    at = -(-fault.span_ns[0] // scenario.tick_ns) - first
+    begin, end = (-(-ns // scenario.tick_ns) for ns in fault.span_ns)
+    at = begin - first
     if fault.kind != "actuator-dead" or fault.every > 1 or at < n:
         return None
-    return _commands(signals, fault)[at - n :]
+    lost = _commands(signals, fault)[at - n :]
+    return lost if fault.for_s is None else np.where(np.arange(len(lost)) < end - begin, lost, 0.0)
 
 
 def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | bool | None]:

@@ -272,6 +272,31 @@ def test_unavoidable_is_what_a_loss_does_before_anything_can_answer(latency, lef
     assert found == pytest.approx((1.0 - left) * short, rel=0.05)
 
 
+@pytest.mark.parametrize(("for_s", "noise", "told"), [(0.005, 1e-3, True), (0.005, 0.1, False)])
+def test_a_loss_that_ends_does_no_more_and_may_never_be_told(for_s, noise, told):
+    """A pulse of missing torque: scipy's step response of G1, and the same after its end."""
+    settings = [f"fault.for_s={for_s}", "fault.at_s=1", f"plant.sensor.noise_mps2={noise}"]
+    scenario = load("ideal", [*settings, "duration_s=3"])
+    torque = 40.0
+    values = metrics(scenario, quiet(scenario, torque_nm=np.full(scenario.ticks, torque)))
+    g1 = steer_by_wire().g1
+    times = np.arange(1, 2000) * scenario.tick_s
+    plant = signal.ZerosPolesGain(g1.zeros, g1.poles, g1.gain)
+    missing = torque * np.where(np.arange(2000) * scenario.tick_s < for_s - 1e-9, 1.0, 0.0)
+    one = signal.step(plant, T=np.append(0.0, times))[1]
+    pulse = np.abs(np.convolve(np.diff(missing, prepend=0.0), one)[1:2000])
+    evidence = np.cumsum(pulse**2) / (2.0 * noise**2)
+    if not told:
+        assert evidence[-1] < np.log(3600.0 / scenario.tick_s / 1e-3)
+        assert values["unavoidable_deviation_mps2"] is values["missed_detection"] is None
+        return
+    found = int(np.argmax(evidence > np.log(3600.0 / scenario.tick_s / 1e-3)))
+    assert values["unavoidable_detection_delay_s"] == pytest.approx(times[found])
+    expected = pulse[: found + 1 + scenario.latency_ticks].max()
+    assert values["unavoidable_deviation_mps2"] == pytest.approx(expected, rel=1e-4)
+    assert found * scenario.tick_s > for_s  # later than its end
+
+
 def test_there_is_nothing_unavoidable_where_no_actuator_dies_in_the_log():
     for settings in (["fault.kind=none"], ["fault.kind=frames-missing"], ["duration_s=2.0"]):
         scenario = load("thesis-step", ["tick_s=0.01", *settings])
