@@ -50,11 +50,15 @@ LIBRARY: Final = r"""
     NULL EOF errno assert offsetof signbit NAN INFINITY HUGE_VAL I complex imaginary noreturn stdin
     stdout stderr (FLT|DBL|LDBL)_\w+ U?INT\w*_(MAX|MIN|C) u?int\w*_t
     (size|ptrdiff|float|double|l?l?div|clock|time)_t va_list tm FILE
+    ctype fenv inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic stdbool
+    stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype
 """
+MACROS: Final = "linux unix i386 mips sparc sun PPC"
 TAKEN: Final = {
     KEYWORDS: "a keyword of C",
     CPP_KEYWORDS: "a keyword of C++, which may include the header",
     LIBRARY: "a name of the C library",
+    MACROS: "a macro of some compilers",
 }
 
 MAX_STATES: Final = 64
@@ -112,9 +116,13 @@ SOURCE: Final = Template("""\
 #endif
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__)
+#pragma GCC optimize("fp-contract=off")
+#elif defined(_MSC_VER)
+#pragma fp_contract(off)
 #endif
 
-/* beta0, beta1, beta2, alpha1, alpha2, a row a section; gcc needs -ffp-contract=off. */
+/* beta0, beta1, beta2, alpha1, alpha2, a row a section */
 static const $real coefficients[${guard}_SECTIONS][5] = {
 $rows
 };

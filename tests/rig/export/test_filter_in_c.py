@@ -1,6 +1,7 @@
 """One filter as C: the lines of the exported law, and every bit of ``Filter``."""
 
 import ctypes
+import platform
 import re
 import shutil
 import subprocess
@@ -15,7 +16,7 @@ from firmware_model import Filter, discretise
 from firmware_model.errors import ParameterError
 from firmware_model.law.structs import Precision
 from tests.firmware.discretisation.random_filters import random_filter
-from tests.rig.export.shared import PRECISIONS
+from tests.rig.export.shared import PRECISIONS, run
 
 INTEGRATOR = discretise(([1.0, 2.0], [1.0, 3.0, 0.0]), 1e-3)
 CONSTANT = discretise(([2.0], [1.0]), 1e-3)
@@ -86,3 +87,15 @@ def test_no_compiler_warns(compiler, precision, tmp_path):
         assert max(map(len, text.splitlines())) <= 120
     command = [compiler, "-std=c99", "-Werror", *WARNINGS, "-c", "low_pass.c"]
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+
+
+@pytest.mark.skipif(
+    platform.machine() != "x86_64" or shutil.which("gcc") is None, reason="no gcc for x86-64"
+)
+def test_gcc_fuses_nothing_as_it_comes(tmp_path):
+    """Outside -std=c99 gcc fuses where a processor can, unless the file forbids that."""
+    for name, text in INTEGRATOR.to_c().items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    code = run("gcc", "-O2", "-mfma", "-S", "filter.c", "-o", "-", cwd=tmp_path)
+    assert "vmulsd" in code
+    assert not re.search("vfn?m", code)
