@@ -26,11 +26,19 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* Answer orders for as long as there is a link. */
 void bench_run(void);
 
 /* To be provided by the board: all the bytes, however long it takes; false: the link has ended. */
 bool bench_read(uint8_t *data, uint32_t size);
 bool bench_write(const uint8_t *data, uint32_t size);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -12,6 +12,10 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* Result of the check of one frame; with any but the first three it updates nothing. */
 enum e2e_status {
     E2E_OK,             /* the next frame */
@@ -63,5 +67,9 @@ void e2e_reject(struct e2e_checker *checker, const uint8_t *data, uint8_t length
 
 /* Note that a frame was due and none arrived. */
 void e2e_no_new_data(struct e2e_checker *checker);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -152,18 +152,37 @@ def test_the_header_has_the_names_and_units_of_the_plant():
         assert said in header
 
 
-def test_a_program_in_cpp_links_it(folder, tmp_path):
+NODE_IN_CPP = """\
+#include "ecu.h"
+void ecu_send(const struct ecu *, uint32_t, uint8_t, const uint8_t *) {}
+static struct ecu node;
+int main()
+{
+    uint8_t data[8] = {0};
+
+    ecu_init(&node);
+    e2e_protect(&node.status, data, 8);
+    return ecu_is_overdue(&node, 0);
+}
+"""
+BENCH_IN_CPP = """\
+#include "bench.h"
+bool bench_read(uint8_t *, uint32_t) { return false; }
+bool bench_write(const uint8_t *, uint32_t) { return false; }
+int main() { bench_run(); }
+"""
+
+
+@pytest.mark.parametrize("program", [NODE_IN_CPP, BENCH_IN_CPP])
+def test_a_program_in_cpp_links_it(program, folder, tmp_path):
     compiler = shutil.which("c++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("no C++ compiler is installed")
-    (tmp_path / "app.cc").write_text(
-        '#include "ecu.h"\n'
-        'extern "C" void ecu_send(const struct ecu *, uint32_t, uint8_t, const uint8_t *) {}\n'
-        "static struct ecu node;\n"
-        "int main() { ecu_init(&node); return ecu_is_overdue(&node, 0); }\n"
-    )
-    app, library = tmp_path / "app", folder / "libfirmware.a"
-    run(compiler, "-Wall", "-Werror", f"-I{folder}", f"{app}.cc", library, "-lm", "-o", app)
+    app, built = tmp_path / "app", [folder / "libfirmware.a"]
+    if program == BENCH_IN_CPP:
+        built = [folder / "bench.o", folder / "harness.o", *built]
+    (tmp_path / "app.cc").write_text(program)
+    run(compiler, "-Wall", "-Werror", f"-I{folder}", f"{app}.cc", *built, "-lm", "-o", app)
     run(app)
 
 
