@@ -88,11 +88,12 @@ IN_ASCII: Final = {
 
 
 def in_ascii(text: str) -> str:
-    """``text`` for tools without Unicode: Greek letters by their names; others become '?'."""
+    """``text`` for tools without Unicode: letters by their names; others become '?'."""
 
     def letter(found: re.Match[str]) -> str:
-        _, _, greek = unicodedata.name(found[0], "").partition(" LETTER ")
-        return IN_ASCII.get(found[0], greek.lower().replace("lamda", "lambda") or "?")
+        _, _, said = unicodedata.name(found[0], "").partition(" LETTER ")
+        name, _, _ = said.lower().partition(" with ")
+        return IN_ASCII.get(found[0], name.replace("lamda", "lambda") or "?")
 
     return re.sub(r"[^\x00-\x7F]", letter, text)
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 import tomli_w
 
 from can_rig.errors import ScenarioError
-from can_rig.export.c_files import comment
+from can_rig.export.c_files import plain
 from can_rig.export.law import law_modules
 from can_rig.scenario.build import dbc_of
 from can_rig.scenario.loading import FILES, written_by
@@ -44,7 +44,8 @@ def with_provenance(texts: Mapping[str, str], scenario: Scenario) -> dict[str, s
             f"SHA-256 of {name}: {at}",
         ]
         if file.endswith((".c", ".h")):
-            found[file] = "\n".join([*comment("\n".join(lines)), text])
+            head = [f" * {line}" for line in map(plain, lines)]
+            found[file] = "\n".join(["/*" + head[0][2:], *head[1:], " */", text])
         else:
             found[file] = "".join(f"# {line}\n" for line in lines) + text
     hashes = (
@@ -76,10 +77,11 @@ def _scenario_files(scenario: Scenario) -> dict[str, str]:
         path = Path(str(values.get(table, {}).get(key, "")))
         if path.suffix.lower() == ".csv" or (key == "dbc" and path.name):
             try:
-                found[path.name] = path.read_bytes().decode(errors="surrogateescape")
+                text = path.read_bytes().decode(errors="surrogateescape")
             except OSError as error:
                 raise ScenarioError(
                     f"{table}.{key} = {str(path)!r}: cannot be read: {error}"
                 ) from None
-            values[table][key] = path.name
+            name = path.name if found.get(path.name, text) == text else f"{table}-{path.name}"
+            found[name], values[table][key] = text, name
     return {**found, f"{scenario.name}.toml": tomli_w.dumps(values)}

@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 
 import firmware_model
 from can_rig.assessment.resolve import load
-from can_rig.export.application import application, exported, identity
+from can_rig.export.application import HEADER, application, exported, identity
 from can_rig.export.provenance import MANIFEST
 from tests.helpers import succeeded
 from tests.rig.export.shared import run
@@ -33,6 +34,28 @@ def test_the_scenario_in_the_folder_gives_the_folder_again(name, tmp_path):
         each.name: each.read_bytes() for each in again.iterdir()
     }
     assert str(PROJECT) not in "".join(each.read_text("utf-8") for each in first.iterdir())
+
+
+def test_two_files_of_one_name_both_lie_beside(tmp_path):
+    tables = {"drive": "speed_mps\n0,10\n1,20\n", "reference": "reference_mps2\n0,0\n1,1\n"}
+    own = tmp_path / "own.toml"
+    own.write_text("")
+    for table, text in tables.items():
+        (tmp_path / table).mkdir()
+        (tmp_path / table / "in.csv").write_text(f"time_s,{text}")
+        more = f'[{table}]\nfile = "{table}/in.csv"\n'
+        own.write_text(own.read_text() + more + 'kind = "csv"\n' * (table == "reference"))
+    succeeded("export", own, "--out", tmp_path / "made")
+    again = load(str(tmp_path / "made" / "own.toml"), [])
+    for table, text in tables.items():
+        assert Path(getattr(again, table).file).read_text() == f"time_s,{text}"
+
+
+def test_the_licence_has_a_line_of_its_own_however_long_the_name(tmp_path):
+    long = replace(load("default", []), name="ein langer Name für eine Lenkung im Süden")
+    header = exported(long)[HEADER]
+    assert header.startswith("/* SPDX-License-Identifier: MIT\n * From can_rig/export/support/")
+    assert "SHA-256 of ein langer Name fur eine Lenkung im Suden.toml: " in header
 
 
 def test_the_manifest_lists_every_file(built, tmp_path):
