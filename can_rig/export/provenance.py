@@ -72,7 +72,7 @@ def _origins(scenario: Scenario) -> dict[str, str]:
 def _scenario_files(scenario: Scenario) -> dict[str, str]:
     """The scenario as TOML, its CSV files and its database, by file name."""
     values: dict[str, Any] = written_by(scenario)
-    found = {}
+    found: dict[str, str] = {}
     for table, key, _ in FILES:
         path = Path(str(values.get(table, {}).get(key, "")))
         if path.suffix.lower() == ".csv" or (key == "dbc" and path.name):
