@@ -156,6 +156,30 @@ def test_cmake_takes_both_into_one_project(place, tmp_path):
     assert re.search(r"100% tests passed.* out of 3", said)  # CMake 4 has other words between
 
 
+def test_one_file_includes_both_after_their_installation(place, tmp_path):
+    if shutil.which("cmake") is None:
+        pytest.skip("cmake is not installed")
+    for prefix in EXPORTS:
+        run("cmake", "-S", place / prefix, "-B", tmp_path / prefix)
+        run("cmake", "--build", tmp_path / prefix, "-j2")
+        run("cmake", "--install", tmp_path / prefix, "--prefix", tmp_path / "opt")
+    installed = BOTH.replace('"front/', '"front_firmware/').replace('"rear_2/', '"rear_2_firmware/')
+    (tmp_path / "both.c").write_text(installed, encoding="utf-8")
+    (tmp_path / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.13)\nproject(two C)\nadd_executable(both both.c)\n"
+        + "".join(
+            f"find_package({each}_firmware CONFIG REQUIRED)\n"
+            f"target_link_libraries(both {each}_firmware::{each}_firmware)\n"
+            for each in EXPORTS
+        )
+    )
+    run(
+        "cmake", "-S", tmp_path, "-B", tmp_path / "build", f"-DCMAKE_PREFIX_PATH={tmp_path / 'opt'}"
+    )
+    run("cmake", "--build", tmp_path / "build")
+    run(tmp_path / "build" / "both", "alone")
+
+
 @pytest.mark.parametrize("prefix", ["", "2nd", "Front", "a-b", "a b"])
 def test_another_prefix_is_refused(prefix, tmp_path):
     line = refused("export", "default", "--prefix", prefix, "--out", tmp_path / "out")
