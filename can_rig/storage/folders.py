@@ -111,9 +111,9 @@ def refuse_to_replace(path: Path, kind: Kind, force: bool) -> None:
         RunFolderError: the reason.
     """
     if not force:
+        way_out = ", or --force to replace it" if kind.is_in(path) else ""
         raise RunFolderError(
-            f"{path}: there already, and nothing is overwritten; "
-            "choose another --out, or --force to replace it"
+            f"{path}: there already, and nothing is overwritten; choose another --out{way_out}"
         )
     if not kind.is_in(path):
         raise RunFolderError(f"{path}: not {kind.name}, so --force does not replace it")

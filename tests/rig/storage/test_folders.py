@@ -81,6 +81,7 @@ def test_force_keeps_foreign_files_and_replaces_no_other_kind(kind, results, tmp
             assert {path.name for path in folder.iterdir()} == own | {"notes.txt", "mine"}
             assert notes_of(folder) == notes
         elif other != kind:
+            assert "--force" not in refused(*words, "--out", folder)
             assert "so --force does not replace it" in refused(*words, "--out", folder, "--force")
             assert contents(folder) == before
     assert {path.name for path in tmp_path.iterdir()} == {*COMMANDS}
