@@ -80,6 +80,8 @@ def change(values: dict[str, Any], setting: str, where: str = "--set ") -> None:
     except ValueError:  # Python's limit on digits
         most = sys.get_int_max_str_digits()
         raise ScenarioError(f"{where}{setting[:40]}...: must have at most {most} digits") from None
+    except RecursionError:
+        raise ScenarioError(f"{where}{setting[:40]}...: lists must not be so deep") from None
     table = values
     if parts[0] in LISTS and len(parts) > 1:
         table, parts = _of_list(values, f"{where}{setting}", parts[0], parts[1:])
@@ -346,6 +348,10 @@ def toml_file(what: str, name: str, known: Mapping[str, Path]) -> tuple[Path, di
         most = sys.get_int_max_str_digits()
         line = f"a number must have at most {most} digits"
         raise ScenarioError(f"{what} {name}: not readable as TOML: {line}") from None
+    except RecursionError:
+        raise ScenarioError(
+            f"{what} {name}: not readable as TOML: lists must not be so deep"
+        ) from None
 
 
 def _copied(value: Any) -> Any:

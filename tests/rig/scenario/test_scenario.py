@@ -212,6 +212,7 @@ FILES = {
     "not TOML": (b"tick_s = = 1\n", "not readable as TOML"),
     "a long number": (b"seed = " + 5001 * b"9", "not readable as TOML: a number must have at most"),
     "not text": (b"\xff\xfe\x00", "not readable as TOML"),
+    "a deep list": (b"seed = " + 5001 * b"[", "not readable as TOML: lists must not be so deep"),
     "unknown table": (b"[fualt]\nat_s = 1.0\n", "fualt: unknown key; did you mean fault?"),
     "quotes": (b'"plant.mass_kg" = 9.0', '"plant.mass_kg": must stand without quotation marks'),
     "unknown key": (b"[fault]\nat = 1.0\n", "fault.at: unknown key; did you mean at_s?"),
@@ -224,6 +225,11 @@ FILES = {
     "a name": (b'name = "other"\n', "name: unknown key"),
     "an array for a table": (b"[[plant]]\nmass_kg = 1.0\n", "plant"),
 }
+
+
+def test_a_list_too_deep_in_a_setting_is_one_line():
+    with refuses("--set seed=[[["):
+        load("default", ["seed=" + 5001 * "["])
 
 
 @pytest.mark.parametrize(("text", "reason"), FILES.values(), ids=FILES.keys())
