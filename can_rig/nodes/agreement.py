@@ -212,6 +212,8 @@ class Agreement:
         end_ns = self._clock.now_ns() + round(ANSWERED_S * NS_PER_S)
         identifiers = {(codec.frame_id, codec.extended) for codec in own}
         while self._clock.now_ns() < end_ns and (message := self.recv(QUIET_S)) is not None:
+            if message.is_remote_frame or message.is_error_frame:
+                continue
             if (message.arbitration_id, message.is_extended_id) in identifiers:
                 raise self._another()
 

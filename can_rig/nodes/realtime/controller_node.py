@@ -181,6 +181,8 @@ class RealTimeControllerNode:
         self._waiting.clear()
 
     def _take_in(self, message: can.Message) -> None:
+        if message.is_remote_frame or message.is_error_frame:
+            return
         number = message.arbitration_id
         if number == self._end.reference.codec.frame_id:
             reference = self._end.reference

@@ -252,7 +252,10 @@ def test_before_its_first_tick_a_node_ends_beside_another_of_its_kind(name, key)
 def test_a_controller_that_hears_another_at_work_ends_before_it_sends_anything():
     """DATA is a command; what the plant sends alone is an offer that waits for an answer."""
     offer = can.Message(arbitration_id=0x101, is_extended_id=False, data=bytes(8))
-    for heard, refused in (([offer], False), ([offer, DATA], True)):
+    asked = can.Message(
+        arbitration_id=DATA.arbitration_id, is_extended_id=False, is_remote_frame=True
+    )
+    for heard, refused in (([offer], False), ([offer, asked], False), ([offer, DATA], True)):
         end = End("controller")
         network = network_of(end.scenario)
         end.wire.waiting += heard

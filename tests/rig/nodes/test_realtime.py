@@ -386,6 +386,18 @@ def test_a_second_controller_is_refused():
         world.run(on_tick=on_tick)
 
 
+def test_a_request_for_a_command_is_no_second_controller():
+    world = World(scenario_of("duration_s=0.3"))
+    request = can.Message(arbitration_id=TORQUE, is_extended_id=False, is_remote_frame=True)
+
+    def on_tick(tick):
+        if tick == 100:
+            world.start_controller()
+            world.to_controller.append((world.ns, request))
+
+    world.run(on_tick=on_tick)
+
+
 def test_a_controller_slower_than_its_tick_is_refused_before_the_run():
     scenario = scenario_of("latency_ticks=1")
     world = World(scenario)
