@@ -6,7 +6,7 @@ from typing import Final
 import click
 
 from can_rig.buses.bus import open_bus
-from can_rig.cli.options import bus_option
+from can_rig.cli.options import bus_of_processes, bus_option
 from can_rig.cli.output import say
 from can_rig.frames import operator_frames
 from can_rig.nodes.operating import operate
@@ -51,7 +51,7 @@ class _WithNegatives(click.Command):
 @click.command("inject", cls=_WithNegatives)
 @click.argument("what", type=click.Choice([*operator_frames.places(), *DO]), metavar="WHAT")
 @click.argument("how", required=False)
-@bus_option("local", "local")
+@bus_option("local", "local", bus_of_processes)
 @click.option(
     "--for",
     "for_s",

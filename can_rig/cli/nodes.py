@@ -13,6 +13,7 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.options import (
     Function,
     above_zero,
+    bus_of_processes,
     bus_option,
     controller_option,
     force_option,
@@ -36,7 +37,7 @@ from can_rig.scenario.settings import Scenario
 def _node_options(function: Function) -> Function:
     """The options of both nodes, beyond SCENARIO and --set."""
     for decorate in (
-        bus_option("local", "local"),
+        bus_option("local", "local", bus_of_processes),
         json_option("Progress and summary as JSON lines."),
         silence_option("1.0; plant --realtime drives on alone"),
         click.option(

@@ -9,6 +9,7 @@ from click.shell_completion import CompletionItem
 
 from can_rig.cli.output import only_json
 from can_rig.controllers import CONTROLLERS, SERIAL
+from can_rig.errors import BusError
 from can_rig.nodes.interaction import Interaction
 from can_rig.scenario import shipped
 
@@ -66,12 +67,29 @@ def bus_name(_context: click.Context, _option: click.Parameter, value: str | Non
     return value
 
 
-def bus_option(default: str | None, shown: str) -> Callable[[Function], Function]:
+def bus_of_processes(
+    context: click.Context, option: click.Parameter, value: str | None
+) -> str | None:
+    """Refuse also a bus within one process, where no other process is ever heard."""
+    from can_rig.buses.bus import in_one_process  # noqa: PLC0415 (python-can is slow to import)
+
+    name = bus_name(context, option, value)
+    if name is not None and in_one_process(name):
+        raise BusError(
+            f"bus {name!r}: stays within one process, and the other node is another process; "
+            "it must be the bus 'local' or another that they share"
+        )
+    return name
+
+
+def bus_option(
+    default: str | None, shown: str, callback: Callable[..., str | None] = bus_name
+) -> Callable[[Function], Function]:
     """--bus, with its own default."""
     return click.option(
         "--bus",
         default=default,
-        callback=bus_name,
+        callback=callback,
         metavar="NAME",
         help="local[:NAME], socketcan:vcan0, udp_multicast:ADDRESS, or any python-can "
         f"INTERFACE:CHANNEL?KEY=VALUE.  [default: {shown}]",

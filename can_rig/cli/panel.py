@@ -2,7 +2,7 @@
 
 import click
 
-from can_rig.cli.options import bus_name, scenario_options
+from can_rig.cli.options import bus_of_processes, scenario_options
 from can_rig.cli.output import say
 from can_rig.scenario import shipped
 
@@ -11,7 +11,7 @@ from can_rig.scenario import shipped
 @scenario_options
 @click.option(
     "--bus",
-    callback=bus_name,
+    callback=bus_of_processes,
     metavar="NAME",
     help="Show nodes that run on this bus, and start none.  [default: a local bus of its own]",
 )

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from tests.helpers import record, rig, start
+from tests.helpers import record, refused, rig, start
 from tests.processes import wait_for
 from tests.rig.nodes.running import lines_of, one_line
 
@@ -35,6 +35,12 @@ def test_a_node_that_stays_alone_says_whom_it_waited_for(node, other, tmp_path):
     done = rig(node, "thesis-step", "--bus", bus, "--wait", "0.3")
     assert done.returncode == 3
     assert f"no frame from the {other} node for 0.3 s" in one_line(done.stderr)
+
+
+@pytest.mark.parametrize("command", ["plant", "controller", "panel", "inject pause"])
+def test_a_bus_within_one_process_is_refused_where_the_other_node_is_another_process(command):
+    line = refused(*command.split(), "--bus", "virtual:x")
+    assert line.startswith("error: bus 'virtual:x': stays within one process")
 
 
 def test_the_log_of_before_stands_until_there_is_a_new_one(tmp_path):
