@@ -21,6 +21,7 @@ import re
 import select
 import socket
 import struct
+from collections import deque
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -46,6 +47,8 @@ _EXTENDED_FLAG: Final = 1 << 31
 _ANY_ID: Final = (1 << 29) - 1
 _CAN_INV_FILTER: Final = 0x20000000
 _STALE_MAX: Final = 20_000
+_ECHOES: Final = 1000
+"""Own frames that are still awaited from a multicast group, which may lose some."""
 
 
 class NodeSocketcanBus(can.BusABC):
@@ -132,6 +135,46 @@ class NodeSocketcanBus(can.BusABC):
         super().shutdown()
         for bus in self._buses:
             bus.shutdown()
+
+
+class NodeMulticastBus(can.BusABC):
+    """A node's end of a multicast group, without its own frames, which the group brings back.
+
+    Args:
+        bus: python-can's bus.
+    """
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self._bus = bus
+        self._sent: deque[tuple[object, ...]] = deque(maxlen=_ECHOES)
+        self.channel, self.channel_info = getattr(bus, "channel", ""), bus.channel_info
+        super().__init__(channel=self.channel)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """As `can.BusABC.send`."""
+        self._bus.send(msg, timeout)
+        self._sent.append(_content(msg))
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        message = self._bus.recv(timeout)
+        while message is not None and _content(message) in self._sent:
+            self._sent.remove(_content(message))
+            message = self._bus.recv(0)
+        return message, True
+
+    def fileno(self) -> int:
+        """The descriptor of the group's socket."""
+        return self._bus.fileno()
+
+    def shutdown(self) -> None:
+        """Close the socket."""
+        super().shutdown()
+        self._bus.shutdown()
+
+
+def _content(message: can.Message) -> tuple[object, ...]:
+    kind = message.is_extended_id, message.is_remote_frame, message.is_error_frame, message.is_fd
+    return message.arbitration_id, *kind, bytes(message.data)
 
 
 def _socketcan(bus: can.BusABC) -> SocketcanBus:
@@ -228,7 +271,8 @@ def open_for_node(
 
     On SocketCAN the bus is a `NodeSocketcanBus`: other traffic cannot displace frames with the
     ``identifiers`` (of 29 bits with bit 31 set), and only ``overhear`` lets other traffic through.
-    Other interfaces open like `open_bus`. With ``fd`` the bus carries CAN FD frames.
+    A multicast group is a `NodeMulticastBus`. Other interfaces open like `open_bus`. With ``fd``
+    the bus carries CAN FD frames.
 
     Raises:
         BusError: as `open_bus`.
@@ -237,6 +281,8 @@ def open_for_node(
     flexible = {"fd": True} if fd and interface not in _ALWAYS_FD else {}
     if interface == "local":
         flexible["bursts"] = True
+    if interface == "udp_multicast":
+        return NodeMulticastBus(open_bus(name, **flexible))
     if interface != "socketcan":
         return open_bus(name, **flexible)
 

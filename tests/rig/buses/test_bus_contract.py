@@ -8,9 +8,10 @@ from typing import Any
 import can
 import pytest
 
-from can_rig.buses.bus import open_bus
+from can_rig.buses.bus import open_bus, open_for_node
 from can_rig.errors import BusError
-from tests.rig.buses.contract import BusContract, frame
+from tests.helpers import record
+from tests.rig.buses.contract import BusContract, frame, numbers
 
 
 class TestLocal(BusContract):
@@ -76,6 +77,21 @@ class TestUdpMulticast(BusContract):
         if not heard:
             pytest.skip("NOT TESTED: there is no multicast here")
         yield from super().near.__wrapped__(self, name)  # type: ignore[attr-defined]
+
+    @pytest.mark.usefixtures("near")
+    def test_the_log_of_a_run_is_that_of_every_bus(self, name, tmp_path):
+        """A group brings a node's own frames back."""
+        here, there = (record(tmp_path, "duration_s=0.2", bus=bus) for bus in (name, "virtual:x"))
+        assert here[0].read_bytes() == there[0].read_bytes()
+
+    @pytest.mark.usefixtures("near")
+    def test_a_node_hears_a_frame_of_another_like_its_own(self, name):
+        with open_for_node(name, (), True) as node, open_bus(name) as other:
+            node.send(frame(1))
+            other.send(frame(1))
+            node.send(frame(2))
+            other.send(frame(3))
+            assert numbers(node, 2) == [1, 3]
 
 
 @pytest.mark.vcan
