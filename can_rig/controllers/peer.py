@@ -169,7 +169,10 @@ class Peer:
         return checked._replace(**numbers)
 
     def _refused(self, answer: object, right: str) -> RigError:
-        said = " ".join(repr(answer).split())
+        try:
+            said = " ".join(repr(answer).split())
+        except Exception:  # a class without a sound __repr__
+            said = f"a {type(answer).__name__}"
         said = said if len(said) <= SAID else f"{said[: SAID - 3]}..."
         return RigError(f"{self._where}: step at {self._time} answers {said}: {right}")
 

@@ -124,7 +124,8 @@ def failure(where: str, what: str, error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     theirs = [frame for frame in frames if not _is_packaged(frame.filename)]
     at = f" ({theirs[-1].filename}, line {theirs[-1].lineno})" if theirs else ""
-    reason = " ".join(str(error).split())
+    # its own text may fail too
+    reason = " ".join(str(traceback.TracebackException(type(error), error, None)).split())
     return f"{where}: {what}: {type(error).__name__}" + (reason and f": {reason}") + at
 
 

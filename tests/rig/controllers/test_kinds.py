@@ -149,6 +149,12 @@ BAD = {
         r"mode must be None or a code of 0 to 3"
     ),
     "raise SystemExit": r"step failed at 0 s: SystemExit",
+    "raise type('Mute', (Exception,), {'__str__': lambda self: 1 / 0})": (
+        r"step failed at 0 s: Mute: <exception str\(\) failed> \(.*bad\.py, line 7\)"
+    ),
+    "return type('Mute', (), {'__repr__': lambda self: 1 / 0})()": (
+        r"step at 0 s answers a Mute: must be \(command_1, command_2\) or an Answer"
+    ),
 }
 
 
