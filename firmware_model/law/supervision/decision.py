@@ -202,8 +202,7 @@ def shows_no_fault(
         clear_health(own.health)
         return False
     share = known_share(state.loss_model, state.mismatch)
-    offset = own.verdict == TORQUE_OFFSET and state.fault_state != CONFIRMED
-    lost = model_1 if offset else w
+    lost = model_1 if own.verdict == TORQUE_OFFSET else w
     return is_healthy(table.hypotheses.health, own.health, residual, share, lost, error)
 
 
