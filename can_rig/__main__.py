@@ -24,7 +24,10 @@ def main() -> None:
     with refusals_in_one_line():
         from can_rig.cli.main import main as commands  # noqa: PLC0415 (from here on it takes time)
 
-        commands()
+        try:
+            commands()
+        finally:  # Python waits for the threads of a user's controller
+            end_at_once()
 
 
 if __name__ == "__main__":

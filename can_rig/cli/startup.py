@@ -23,9 +23,10 @@ from can_rig.errors import INTERRUPTED, RigError, one_line
 
 
 def end_at_once() -> None:
-    """From here on Ctrl-C ends the process silently: no file needs cleaning up yet."""
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # nohup: it is ignored
-        signal.signal(signal.SIGINT, _end)
+    """From here on Ctrl-C and SIGTERM end the process silently: no file needs cleaning up."""
+    for number, handler in ((signal.SIGINT, _end), (signal.SIGTERM, signal.SIG_DFL)):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+            signal.signal(number, handler)
 
 
 def raise_again() -> None:

@@ -102,3 +102,36 @@ def test_ctrl_c_in_one_process(tmp_path):
     assert "Traceback" not in errors
     summary = folder_is_complete(log.parent, "interrupted")
     assert lines_of(log) == 5 * summary["ticks"]
+
+
+THREADED = """
+import threading, time
+
+class Controller:
+    def __init__(self, setup):
+        threading.Thread(target=time.sleep, args=(600,)).start()
+
+    def reset(self, reference):
+        pass
+
+    def step(self, inputs):
+        return 0.0, 0.0
+"""
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, -15)])
+def test_a_thread_of_a_controller_does_not_outlive_a_signal_after_the_run(tmp_path, number, status):
+    (tmp_path / "threaded.py").write_text(THREADED)
+    process = start(
+        "run", "thesis-step", "--set", "duration_s=0.1", "--set", "fault.kind=none",
+        "--in-process", "--allow-unstable", "--out", tmp_path / "run",
+        "--set", f"controller.kind={tmp_path / 'threaded'}:Controller",
+    )  # fmt: skip
+    for line in process.stdout:
+        if line.startswith("run folder"):
+            break
+    time.sleep(0.5)  # of the command nothing is left
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == status
+    assert errors == ""
