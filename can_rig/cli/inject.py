@@ -89,9 +89,9 @@ def command(
     turbulence (N rms over 50 m), bank (%), friction (a factor), steering-kick (N m); push, for a
     plant other than a car.
 
-    clear [WHAT] ends all faults and disturbances, or those of WHAT. reference MPS2 adds to the
-    scenario's reference. pace X holds the run to X times real time, and ends a pause. pause stops
-    the run, and step TICKS lets a paused run go on for so many ticks.
+    clear ends all faults and disturbances, clear WHAT the faults and disturbances of WHAT.
+    reference MPS2 adds to the scenario's reference. pace X holds the run to X times real time, and
+    ends a pause. pause stops the run, and step TICKS lets a paused run go on for so many ticks.
     """
     if (other is None) == (how == "swapped"):
         raise click.UsageError("--with: must name the other sensor of a swap, and nothing else")

@@ -55,7 +55,7 @@ GOODBYE_S: Final = 1.0
 
 
 class Viewer:
-    """One browser, whose commands are obeyed if it ``may_touch``."""
+    """One browser; with ``may_touch`` the panel obeys the browser's commands."""
 
     def __init__(self, socket: web.WebSocketResponse, may_touch: bool) -> None:
         self.socket = socket

@@ -368,12 +368,12 @@ def _commands_lost(scenario: Scenario, signals: Signals, fault: FaultSettings) -
     """
     n = scenario.latency_ticks
     first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
-    begin, end = (-(-ns // scenario.tick_ns) for ns in fault.span_ns)
+    begin, end = fault.span_ticks(scenario.tick_ns)
     at = begin - first
     if fault.kind != "actuator-dead" or fault.every > 1 or at < n:
         return None
     lost = _commands(signals, fault)[at - n :]
-    return lost if fault.for_s is None else np.where(np.arange(len(lost)) < end - begin, lost, 0.0)
+    return np.where(np.arange(len(lost)) < end - begin, lost, 0.0)
 
 
 def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | bool | None]:
@@ -645,11 +645,12 @@ def harm_metrics(
 def _placed(scenario: Scenario, signals: Signals) -> dict[str, bool | str | None]:
     """Where the faults are, the longest verdict since the first fault, and its truth."""
     end_s = signals.time_s[-1] + 1e-9 if len(signals) else 0.0
-    faulty = {fault.place for fault in scenario.faults if fault.at_s <= end_s}
+    begun = [fault for fault in scenario.faults if fault.at_s <= end_s]
+    faulty = {fault.place for fault in begun}
     place = " and ".join(sorted(faulty)) or "nothing" if len(signals) else None
     if signals.verdict is None or not len(signals) or not _says(scenario, signals.verdict):
         return {"place": place, "verdict": None, "right_place": None, "wrong_place": None}
-    first = min((fault.at_s for fault in scenario.faults if fault.at_s <= end_s), default=0.0)
+    first = min((fault.at_s for fault in begun), default=0.0)
     counts = np.zeros(len(Verdict), dtype=np.int64)
     for rows in paged.blocks(len(signals)):
         codes = signals.verdict[rows][signals.time_s[rows] >= first - 1e-9]

@@ -206,9 +206,14 @@ class FaultSettings:
             return begin_ns, FOR_GOOD_NS
         return begin_ns, begin_ns + round(self.for_s * 1e9)
 
+    def span_ticks(self, tick_ns: int) -> tuple[int, int]:
+        """The first tick of the fault, and the first tick after the fault."""
+        begin_ns, end_ns = self.span_ns
+        return -(-begin_ns // tick_ns), -(-end_ns // tick_ns)
+
     def ticks(self, tick_ns: int, run: range) -> range:
         """The ticks of ``run`` with the fault active."""
-        begin, end = (-(-time_ns // tick_ns) for time_ns in self.span_ns)
+        begin, end = self.span_ticks(tick_ns)
         steps = -(-max(run.start - begin, 0) // self.every)
         return range(begin + steps * self.every, min(end, run.stop), self.every)
 
@@ -235,7 +240,7 @@ def outages(faults: Iterable[FaultSettings], tick_ns: int) -> tuple[Outage, ...]
     two ticks has no tick: a restart alone.
     """
     found = sorted(
-        (-(-fault.span_ns[0] // tick_ns), -(-fault.span_ns[1] // tick_ns), fault.state_survives)
+        (*fault.span_ticks(tick_ns), fault.state_survives)
         for fault in faults
         if fault.kind == RESTARTED
     )
