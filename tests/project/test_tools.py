@@ -40,6 +40,16 @@ def test_each_tool_is_run_here_or_there_or_has_a_reason():
     assert all((ROOT / page).is_file() for page in ELSEWHERE.values())
 
 
+@pytest.mark.parametrize("tool", ["lock", "scenario_keys", "setup", "test", "website"])
+def test_a_script_asked_for_help_tells_its_use_and_does_nothing(tool):
+    done = subprocess.run(
+        [ROOT / "tools" / tool, "--help"], check=False, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0 and not done.stderr
+    head = (ROOT / "tools" / tool).read_text("utf-8").partition("\nset ")[0].splitlines()[1:]
+    assert done.stdout.splitlines() == [line.removeprefix("# ") for line in head]
+
+
 @pytest.mark.parametrize("words", sorted(SHORTEST))
 def test_a_tool_ends_well(words):
     tool, *arguments = words
