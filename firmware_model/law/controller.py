@@ -43,7 +43,6 @@ from firmware_model.law.core.thesis import (
     command_force,
     command_torque,
     end_tick,
-    nearer_to_zero,
     run_alone,
 )
 from firmware_model.law.core.tracking import missing_output, settle_tracking, track_on
@@ -96,7 +95,7 @@ from firmware_model.law.supervision.prediction import (
     stand_in,
     turn_to_witness,
 )
-from firmware_model.law.supervision.safe_stop import both_lost, is_blind, ticks_left
+from firmware_model.law.supervision.safe_stop import both_lost, is_blind, nearer_to_zero, ticks_left
 from firmware_model.law.supervision.sensor_error import advance_sensor_error
 from firmware_model.law.supervision.signatures import advance_signatures
 from firmware_model.law.supervision.standby import stands_by, ticks_left_in_standby

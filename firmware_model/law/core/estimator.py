@@ -141,7 +141,6 @@ def settle_estimator(
     """
     shown = settle(constants.channel_1, state.channel_1, command_1)
     shown += settle(constants.channel_2, state.channel_2, command_2)
-    settle(constants.one_plus_q, state.one_plus_q, real(0.0, command_1))
     for_one = settle(constants.measurement, state.measurement, real(1.0, command_1))
     if for_one != 0.0:
         level = shown / for_one
@@ -151,12 +150,3 @@ def settle_estimator(
     state.queue_2.commands[:] = command_2
     state.queue_1.index = state.queue_2.index = 0
     state.showing_1, state.showing_2 = command_1, command_2
-
-
-@firmware
-def clear_estimator(state: State) -> None:
-    """Empty the filters; queued commands stay."""
-    state.channel_1.accumulators[:] = 0.0
-    state.channel_2.accumulators[:] = 0.0
-    state.one_plus_q.accumulators[:] = 0.0
-    state.measurement.accumulators[:] = 0.0

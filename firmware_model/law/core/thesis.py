@@ -178,22 +178,3 @@ def run_alone(table: Table, state: State, r: float, y: float) -> None:
         state.command_1, state.command_2 = held_1, held_2
         state.mode = MODE_BLIND
     end_tick(table, state, tick.asked_1 - tick.possible_1, tick.asked_2 - tick.possible_2)
-
-
-@firmware
-def command_possible(table: Table, state: State, wanted_1: float, wanted_2: float) -> None:
-    """Limit both wanted commands to the range of the actuators."""
-    possible = saturate_rate(table.actuator_1, wanted_1, state.command_1)
-    state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)
-    possible = saturate_rate(table.actuator_2, wanted_2, state.command_2)
-    state.command_2 = quantise(table.actuator_2, state.actuator_2, possible)
-
-
-@firmware
-def nearer_to_zero(table: Table, state: State, left: float) -> None:
-    """A tick on a straight line of both commands to zero, of which so many ticks are ``left``."""
-    one = real(1.0, left)
-    share = real(0.0, left)
-    if left > one:
-        share = (left - one) / left
-    command_possible(table, state, share * state.command_1, share * state.command_2)

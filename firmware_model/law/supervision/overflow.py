@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from firmware_model.compiled import firmware
 from firmware_model.law.core.biquad import output
-from firmware_model.law.core.estimator import clear_estimator, model_output, settle_estimator
+from firmware_model.law.core.estimator import model_output, settle_estimator
 from firmware_model.law.core.reference_shaper import start
 from firmware_model.law.core.shortfall import make_up
 from firmware_model.law.core.tracking import missing_output
@@ -115,7 +115,8 @@ def clear_models(state: State) -> None:
     state.tracking.delay[:] = 0.0
     state.actuator_1.rounded_off = state.actuator_2.rounded_off = 0.0
     state.compensator.filter.accumulators[:] = 0.0
-    clear_estimator(state.estimator)
+    state.estimator.channel_1.accumulators[:] = 0.0
+    state.estimator.channel_2.accumulators[:] = 0.0
     clear_loss_model(state.loss_model)
     clear_other_cars(state.other_cars)
     release(state.bumpless_transfer)

@@ -15,10 +15,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
+from firmware_model.law.core.actuator import quantise, saturate_rate
 from firmware_model.law.precision import real
 from firmware_model.law.structs import Struct
 
 if TYPE_CHECKING:
+    from firmware_model.law.core import thesis
     from firmware_model.law.layout import Table
     from firmware_model.law.supervision import prediction
 
@@ -75,3 +77,16 @@ def ticks_left(table: Table, own: State, blind_for: float, lost: bool) -> float:
         left = table.safe_stop.duration - own.elapsed
         own.elapsed += real(1.0, left)
     return left
+
+
+@firmware
+def nearer_to_zero(table: thesis.Table, state: thesis.State, left: float) -> None:
+    """A tick on a straight line of both commands to zero, of which so many ticks are ``left``."""
+    one = real(1.0, left)
+    share = real(0.0, left)
+    if left > one:
+        share = (left - one) / left
+    possible = saturate_rate(table.actuator_1, share * state.command_1, state.command_1)
+    state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)
+    possible = saturate_rate(table.actuator_2, share * state.command_2, state.command_2)
+    state.command_2 = quantise(table.actuator_2, state.actuator_2, possible)

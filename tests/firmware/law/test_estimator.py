@@ -13,13 +13,7 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin
 from firmware_model.law.controller import init
-from firmware_model.law.core import biquad
-from firmware_model.law.core.estimator import (
-    advance_model,
-    clear_estimator,
-    model_output,
-    settle_estimator,
-)
+from firmware_model.law.core.estimator import advance_model, model_output, settle_estimator
 from firmware_model.law.structs import FloatArray
 
 CAR, TICK_S, TICKS = steer_by_wire(), 1e-3, 60
@@ -69,25 +63,9 @@ def test_a_settled_model_stays_until_new_commands_act(latency):
     """Wherever the ring was, and whatever was on its way in it."""
     constants, state = made(latency)
     run(constants, state, COMMANDS[:, :5])
-    biquad.advance(constants.one_plus_q, state.one_plus_q, 1.0)
     settle_estimator(constants, state, 4.0, -2.5, 0.0)
     assert (state.showing_1, state.showing_2) == (4.0, -2.5)
     settled = np.array([4.0 * CAR.g1.dc_gain, -2.5 * CAR.g2.dc_gain])
     outputs = run(constants, state, COMMANDS + np.array([[4.0], [-2.5]]))
     expected = settled[:, None] + answers(delayed(COMMANDS, latency))
     np.testing.assert_allclose(outputs, expected, rtol=1e-9)
-    assert biquad.output(constants.one_plus_q, state.one_plus_q, 0.0) == 0.0
-
-
-@pytest.mark.parametrize("latency", LATENCIES)
-def test_a_cleared_model_starts_at_rest_with_what_is_on_its_way(latency):
-    constants, state = made(latency)
-    run(constants, state, COMMANDS)
-    biquad.advance(constants.one_plus_q, state.one_plus_q, 1.0)
-    assert biquad.output(constants.one_plus_q, state.one_plus_q, 0.0) != 0.0
-    clear_estimator(state)
-    assert biquad.output(constants.one_plus_q, state.one_plus_q, 0.0) == 0.0
-    outputs = run(constants, state, COMMANDS)
-    before = COMMANDS[:, TICKS - latency :] if latency <= TICKS else COMMANDS
-    acting = np.hstack([np.zeros((2, max(latency - TICKS, 0))), before, COMMANDS])[:, :TICKS]
-    np.testing.assert_allclose(outputs, answers(acting), rtol=1e-9, atol=1e-15)
