@@ -147,6 +147,27 @@ def test_peaks_belong_to_their_windows():
     assert values["error_settled_after_fault_mps2"] == 3.0
 
 
+def test_what_has_settled_is_after_the_fault_and_without_a_fault_at_the_end():
+    scenario = load("thesis-step", ["tick_s=0.01"])
+    force = np.repeat([5.0, -7.0], 1000)
+    for each, settled in ((scenario, 7.0), (scenario.healthy, 7.0)):
+        values = metrics(each, quiet(each, force_difference_n=force))
+        assert values["force_difference_settled_n"] == settled
+
+
+def test_a_ratio_is_that_of_its_two_numbers(run):
+    values = metrics(*run("default", "fault.at_s=0.5", "duration_s=1.0"))
+    for ratio, value, least in (
+        ("detection_over_unavoidable", "detection_delay_s", "unavoidable_detection_delay_s"),
+        (
+            "deviation_over_unavoidable",
+            "deviation_peak_after_fault_mps2",
+            "unavoidable_deviation_mps2",
+        ),
+    ):
+        assert values[ratio] * values[least] == pytest.approx(values[value])
+
+
 def labels(scenario: Scenario, values: Metrics) -> str:
     return "\n".join(f"{label}: {text}" for label, text in rows(values, scenario.plant))
 
@@ -213,8 +234,10 @@ def test_windows_of_a_passing_fault_settle_after_it_has_passed():
     # Half of the second that is left: its first half is the transient of the return.
     assert found["settled_after"] == (19.5, 19.99)
     # The tick of its end is the first without it: 10 ms, 5 ms, half of either, and zero.
-    settings = ["tick_s=0.005", "duration_s=20", "fault.for_s=9.985"]
-    assert spans(load("thesis-step", settings))["settled_after"] == (19.99, 19.995)
+    settings = ["tick_s=0.005", "duration_s=20"]
+    for for_s, first_s in ((9.985, 19.99), (9.995, 19.995)):
+        passed = spans(load("thesis-step", [*settings, f"fault.for_s={for_s}"]))
+        assert passed["settled_after"] == (first_s, 19.995)
 
 
 @pytest.mark.parametrize("for_s", [None, 1.0])
