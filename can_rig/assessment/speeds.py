@@ -104,18 +104,18 @@ def check(
     return DriveCheck(**its, ends=ends, sweeps=_sweeps(scenario))
 
 
-def refuse(scenario: Scenario) -> None:
+def refuse(scenario: Scenario, on_answer: Callable[[int], None] = lambda number: None) -> None:
     """``refuse_unstable`` at both ends of a drive and between.
 
     Raises:
         ScenarioError: as ``refuse_unstable``; a drive that is none.
     """
     if not scenario.drive.is_given:
-        refuse_unstable(scenario)
+        refuse_unstable(scenario, on_answer)
         return
     for end in _ends(scenario):
         try:
-            refuse_unstable(end)
+            refuse_unstable(end, on_answer)
         except ScenarioError as error:
             raise ScenarioError(f"{error} (at {end.plant.speed_mps:g} m/s)") from None
     for name, found in _sweeps(scenario).items():

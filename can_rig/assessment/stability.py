@@ -366,14 +366,18 @@ def check_stability(
     )
 
 
-def refuse_unstable(scenario: Scenario) -> None:
+def refuse_unstable(
+    scenario: Scenario, on_answer: Callable[[int], None] = lambda number: None
+) -> None:
     """Raise unless the loop is stable before the fault and after it, and bears its limits.
+
+    ``on_answer`` is called after each answer of a controller of one's own, with its number.
 
     Raises:
         ScenarioError: the unstable state and a stable alternative; D* within the limits.
     """
     if not scenario.controller.is_ours:
-        _refuse_unstable_peer(scenario)
+        _refuse_unstable_peer(scenario, on_answer)
         return
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     for name, left in _every_end(scenario).items():
@@ -391,14 +395,14 @@ def refuse_unstable(scenario: Scenario) -> None:
             )
 
 
-def _refuse_unstable_peer(scenario: Scenario) -> None:
+def _refuse_unstable_peer(scenario: Scenario, on_answer: Callable[[int], None]) -> None:
     """Refuse a controller of one's own whose healthy loop is unstable.
 
     What the controller makes of a loss is what a run is to show, and a controller that is not
     linear has no such figure.
     """
     try:
-        law = linear_law_of(scenario)
+        law = linear_law_of(scenario, on_answer)
     except ScenarioError:
         return
     radius = sampled_loop(law, continuous_plant(scenario.plant), scenario.tick_s).spectral_radius()

@@ -28,7 +28,7 @@ from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.realtime import timing
 from can_rig.results import execution
-from can_rig.results.execution import INTERRUPTED_RUN, Options, refuse
+from can_rig.results.execution import INTERRUPTED_RUN, Options, refuse, refuse_from_outside
 from can_rig.results.isolation import verdict_rows
 from can_rig.results.metrics import Metrics, fault_rows, rows
 from can_rig.results.run_folder import Outcome, log_of
@@ -118,7 +118,11 @@ def command(
     if in_process and interaction != UNTOUCHED:
         raise click.UsageError("--in-process and --pace or --injectable: two processes are needed")
     chosen = load(scenario, settings)
-    refuse(chosen, allow_unstable)
+    stop = StopRequest()
+    if chosen.own_code and not in_process:
+        refuse_from_outside(chosen, allow_unstable, stop.on_signals())
+    else:
+        refuse(chosen, allow_unstable)
     for path in logs:
         refuse_log(path, force)
     running = controller_of(controller, chosen)
@@ -133,7 +137,7 @@ def command(
         timeouts=_timeouts(silence_s, interaction),
         interaction=interaction,
     )
-    done = execution.execute(chosen, out, StopRequest().on_signals(), options)
+    done = None if stop.wanted else execution.execute(chosen, out, stop.on_signals(), options)
     if done is None:
         say("stopped before the first tick; no run folder is left")
         sys.exit(INTERRUPTED)

@@ -61,11 +61,11 @@ def no_progress() -> Iterator[OnTick]:
 
 
 class Throttled:
-    """Calls ``report(tick)`` at most every 0.1 s; called each tick, it rarely reads the clock."""
+    """Calls ``report(tick)`` at most every 0.1 s; reads the clock every ``stride`` ticks."""
 
-    def __init__(self, report: OnTick) -> None:
+    def __init__(self, report: OnTick, stride: int = 64) -> None:
         self._report = report
-        self._countdown = self._stride = 64
+        self._countdown = self._stride = stride
         self._last_ns = SYSTEM_CLOCK.now_ns()
 
     def __call__(self, tick: int) -> None:

@@ -26,7 +26,7 @@ from can_rig.errors import RigError, SilentNodeError, one_line
 from can_rig.nodes.agreement import is_shared
 from can_rig.nodes.bursts import warm_up
 from can_rig.nodes.bus_access import OnTick, Progress, StopRequest, Throttled, no_progress
-from can_rig.nodes.runner import NodeName, RunOptions, run_controller, run_plant
+from can_rig.nodes.runner import RunOptions, run_controller, run_plant
 from can_rig.nodes.scheduling import one_core
 from can_rig.nodes.ticks import NodeSummary, without_garbage_pauses
 from can_rig.scenario.settings import Scenario
@@ -46,14 +46,14 @@ Node = Callable[[StopRequest, Report], NodeSummary]
 class NodeProcess:
     """The process of one node, and its messages so far."""
 
-    name: NodeName
+    name: str
     process: ForkProcess
     connection: Connection
     said: dict[str, Any] = field(default_factory=dict)
     ended_s: float = math.inf
 
     @classmethod
-    def fork(cls, name: NodeName, node: Node, others: list[NodeProcess]) -> NodeProcess:
+    def fork(cls, name: str, node: Node, others: list[NodeProcess]) -> NodeProcess:
         """Fork ``node``; ``others`` are the processes forked before."""
         here, there = multiprocessing.Pipe(duplex=False)
         readers = [here, *(other.connection for other in others)]
@@ -94,7 +94,7 @@ class NodeProcess:
 
 
 def _node_main(
-    name: NodeName,
+    name: str,
     node: Node,
     connection: Connection,
     readers: list[Connection],
@@ -174,27 +174,69 @@ def run_processes(
             process.kill()
 
 
+def in_another_process(
+    work: Callable[[OnTick], None], called: str, stop: StopRequest, silence_s: float
+) -> None:
+    """Do ``work`` in a process of its own, because code of the user's may crash or never return.
+
+    Args:
+        work: is given a function to call again and again.
+        called: names the user's code in an error.
+        stop: ends the work at once; the caller looks at ``stop`` afterwards.
+        silence_s: the longest permitted time between two such calls.
+
+    Raises:
+        SilentNodeError: the process died or fell silent.
+        RigError: from ``work``.
+    """
+
+    def node(_: StopRequest, report: Report) -> NodeSummary:
+        work(Throttled(lambda done: report(ticks=done), stride=1))
+        return NodeSummary(0, 0.0, {}, {})
+
+    check = NodeProcess.fork("check", node, [])
+    try:
+        _watch([check], StopRequest(), until=lambda: stop.wanted, silence_s=silence_s)
+        status = check.process.exitcode
+        if "summary" in check.said or stop.wanted:
+            return
+        if "error" in check.said:
+            raise check.said["error"]
+        if status is None:
+            end = f"did not answer for {silence_s:g} s"
+        elif status < 0:
+            end = f"was ended by {signal.Signals(-status).name}"
+        else:
+            end = f"ended with exit status {status}"
+        raise SilentNodeError(f"the check before the run, which calls {called}, {end}")
+    finally:
+        check.kill()
+
+
 def _watch(
     processes: list[NodeProcess],
     stop: StopRequest,
     until: Callable[[], bool] = lambda: False,
     on_tick: OnTick = lambda tick: None,
+    silence_s: float = math.inf,
 ) -> None:
     """Receive the nodes' messages until ``until()`` is true or all nodes have ended.
 
     A stop request ends the plant after its tick, then the controller. After the end of one node,
-    the other node gets the time of its own watchdog to end.
+    the other node gets the time of its own watchdog to end. ``silence_s`` without any message ends
+    the wait.
     """
     deadline_s = math.inf
     asked = False
     open_: dict[Any, NodeProcess] = {each.connection: each for each in processes}
-    while open_ and not until() and time.monotonic() < deadline_s:
+    heard_s = time.monotonic()
+    while open_ and not until() and time.monotonic() < min(deadline_s, heard_s + silence_s):
         if stop.wanted and not asked:
             asked = True
             deadline_s = time.monotonic() + ENDS_WITHIN_S
             processes[-1].process.terminate()  # the node ends after its tick
         for ready in wait(list(open_), timeout=0.1):
-            process = open_[ready]
+            process, heard_s = open_[ready], time.monotonic()
             if not process.listen():
                 del open_[ready]
                 process.process.join()
@@ -216,8 +258,8 @@ def _conclude(processes: list[NodeProcess]) -> NodeSummary:
                 f"the {each.name} node was ended by {signal.Signals(-status).name} "
                 f"after {processes[-1].ticks} ticks or more"  # reported at times
             )
-        if status > 0:
-            error = each.said.get("error", RigError(f"ended with exit status {status}"))
+        if "summary" not in each.said:
+            error = each.said.get("error", SilentNodeError(f"ended with exit status {status}"))
             raise type(error)(f"{each.name} node: {error}")
     summaries: list[NodeSummary] = [each.said["summary"] for each in processes]
     total = NodeSummary(processes[-1].ticks, summaries[-1].wall_s, {}, {})

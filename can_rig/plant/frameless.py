@@ -4,7 +4,7 @@ The signals equal those of a run on a lockstep bus bit for bit; a linear plant r
 times faster.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -287,17 +287,24 @@ class InLoop:
         return answer.command_1, answer.command_2, *said(answer)
 
 
-def linear_law_of(scenario: Scenario) -> LinearController:
+def linear_law_of(
+    scenario: Scenario, on_answer: Callable[[int], None] = lambda number: None
+) -> LinearController:
     """The matrices of the scenario's controller, of another kind than the rig's own law.
+
+    ``on_answer`` is called after each answer, with its number.
 
     Raises:
         ScenarioError: a controller that is not linear around rest.
     """
 
     def respond(inputs: FloatArray) -> FloatArray:
-        peer = peer_of(scenario)
-        answers = (peer.step(ControllerInputs(r, y)) for y, r in inputs.tolist())
-        return np.array([(*answer[:2], answer.fault_estimate or 0.0) for answer in answers])
+        peer, answers = peer_of(scenario), []
+        for number, (y, r) in enumerate(inputs.tolist()):
+            answer = peer.step(ControllerInputs(r, y))
+            answers.append((*answer[:2], answer.fault_estimate or 0.0))
+            on_answer(number)
+        return np.array(answers)
 
     try:
         return read_off(respond, scenario.latency_ticks)

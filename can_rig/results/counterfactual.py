@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from can_rig.errors import RigError
 from can_rig.logs.columns import APPLIED, TRUE_OUTPUT
 from can_rig.plant.actuators import Actuator
 from can_rig.plant.changing_car import plant_of
@@ -82,10 +83,13 @@ def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
         return _unknown(signals)  # what ended the run, perhaps for ever, would end this run too
     if ticks > scenario.ticks:
         scenario = replace(scenario, duration_s=ticks * scenario.tick_s)
-    if scenario.ticks > paged.PAGED_ROWS:
-        return Counterfactual(*(values[first:ticks] for values in _long(scenario)))
-    loop = loop_of(scenario)
-    loop.run(first + rows)
+    try:
+        if scenario.ticks > paged.PAGED_ROWS:
+            return Counterfactual(*(values[first:ticks] for values in _long(scenario)))
+        loop = loop_of(scenario)
+        loop.run(first + rows)
+    except RigError:  # of a controller of one's own
+        return _unknown(signals)
     return _of_loop(scenario, loop, slice(first, ticks), first)
 
 

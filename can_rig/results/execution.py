@@ -5,9 +5,11 @@ An existing folder stands until the new folder is complete, and no recorded data
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -18,10 +20,10 @@ from can_rig.controllers.protocol import InNode, Supplied
 from can_rig.errors import INTERRUPTED, BusError, RigError, one_line
 from can_rig.frames.network import Network
 from can_rig.nodes.agreement import is_shared, own_bus, require_alone
-from can_rig.nodes.bus_access import Progress, StopRequest, Throttled, no_progress
+from can_rig.nodes.bus_access import Progress, StopRequest, Throttled, Timeouts, no_progress
 from can_rig.nodes.interaction import UNTOUCHED
 from can_rig.nodes.lockstep import require_ticks
-from can_rig.nodes.processes import run_processes
+from can_rig.nodes.processes import in_another_process, run_processes
 from can_rig.nodes.realtime.timing import require_causal
 from can_rig.nodes.runner import RunOptions, run_in_process
 from can_rig.nodes.ticks import NodeSummary, RunColumns
@@ -112,8 +114,14 @@ class Options(RunOptions):
     report: bool = True
 
 
-def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
+def refuse(
+    scenario: Scenario,
+    allow_unstable: bool = False,
+    on_answer: Callable[[int], None] = lambda number: None,
+) -> None:
     """Refuse an impossible run before the start.
+
+    ``on_answer`` is called after each answer of a controller of one's own, with its number.
 
     Raises:
         ScenarioError: an impossible design, plant or reference, or an unstable loop.
@@ -126,7 +134,22 @@ def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
     refuse_saturation(scenario, network)
     SimulatedPlant(scenario)
     if not allow_unstable:
-        refuse_unstable(scenario)
+        refuse_unstable(scenario, on_answer)
+
+
+def refuse_from_outside(
+    scenario: Scenario, allow_unstable: bool, stop: StopRequest, silence_s: float = Timeouts.first_s
+) -> None:
+    """``refuse`` a scenario with ``own_code`` in another process, which that code may end.
+
+    Raises:
+        SilentNodeError: the code ended the process, or did not answer for ``silence_s``.
+        ScenarioError: see ``refuse``.
+    """
+    if not scenario.controller.is_own:
+        silence_s = math.inf  # a plant tells of no step
+    check = partial(refuse, scenario, allow_unstable)
+    in_another_process(check, " and ".join(scenario.own_code), stop, silence_s)
 
 
 def execute(

@@ -127,6 +127,11 @@ class ControllerSettings:
         return self.kind == OURS
 
     @property
+    def is_own(self) -> bool:
+        """Whether ``kind`` names code of the user's, which need not exist."""
+        return self.is_file or is_class_path(self.kind)
+
+    @property
     def is_fmu(self) -> bool:
         """Whether ``kind`` reads ``fmu:FILE.fmu``; the file need not exist."""
         return self.kind.startswith(FMU) and len(self.kind) > len(FMU)

@@ -491,6 +491,11 @@ class Scenario:
             each for each in HEARD if each in found and (each in ECHOES or witness <= found)
         )
 
+    @property
+    def own_code(self) -> list[str]:
+        """The kinds of the controller and the plant that name code of the user's."""
+        return [each.kind for each in (self.controller, self.plant) if each.is_own]
+
     @cached_property
     def places(self) -> tuple[str, ...]:
         """The senders of frames that can fail: ``PLACES``, then the further sensors."""

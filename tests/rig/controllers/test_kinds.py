@@ -25,7 +25,7 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.plant.frameless import linear_law_of
 from can_rig.replaying.estimator import replay_drive
 from can_rig.replaying.replay import OpenLoop
-from can_rig.results.execution import Options, execute, refuse
+from can_rig.results.execution import Options, execute, refuse, refuse_from_outside
 from can_rig.results.metrics import metrics_of
 from can_rig.results.signals import read_signals
 from can_rig.results.source import source_of
@@ -302,6 +302,41 @@ def test_a_controller_that_ends_its_run_is_not_run_again(own, tmp_path):
     assert sys.modules["ends"].Ends.steps == 400
     assert done.metrics["deviation_peak_after_fault_mps2"] is None
     assert can_rig.load(tmp_path / "run").signals.index[-1] == pytest.approx(0.399, abs=2e-3)
+
+
+def test_a_controller_that_fails_without_the_fault_keeps_its_run(own, tmp_path):
+    """As one that failed within the last second of real time: all ticks are in the log."""
+    (own / "once.py").write_text(
+        "class Once:\n    steps = 0\n    def __init__(self, setup): pass\n"
+        "    def reset(self, reference): pass\n    def step(self, inputs):\n"
+        "        Once.steps += 1\n        assert Once.steps <= 600\n        return 0.0, 0.0\n"
+    )
+    done = execute(of("once:Once"), tmp_path / "run", StopRequest(), Options(report=False))
+    assert done is not None and done.failure is None
+    assert done.metrics["deviation_peak_after_fault_mps2"] is None
+    assert can_rig.load(tmp_path / "run").summary["ticks"] == 600
+
+
+SLOW = """
+import time
+class Slow:
+    def __init__(self, setup): pass
+    def reset(self, reference): pass
+    def step(self, inputs):
+        time.sleep(2e-4)
+        return 0.0, 0.0
+"""
+
+
+def test_the_check_waits_for_the_next_answer_alone(own):
+    (own / "slow.py").write_text(SLOW)
+    refuse_from_outside(of("slow:Slow"), False, StopRequest(), silence_s=1.0)
+
+
+def test_a_check_from_outside_refuses_as_any_check():
+    unstable = of("filters", "controller.c.num=[-20.0]", "controller.c.den=[1.0, 0.0]")
+    with pytest.raises(ScenarioError, match=r"^scenario default: .* unstable \(healthy\)"):
+        refuse_from_outside(unstable, False, StopRequest(), silence_s=60.0)
 
 
 def test_limits_and_missing_inputs_are_the_nodes(own):

@@ -7,6 +7,9 @@ import time
 
 import pytest
 
+from can_rig.errors import SilentNodeError
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.processes import in_another_process
 from tests.helpers import start
 from tests.processes import wait_for
 from tests.rig.nodes.running import (
@@ -102,6 +105,70 @@ def test_ctrl_c_in_one_process(tmp_path):
     assert "Traceback" not in errors
     summary = folder_is_complete(log.parent, "interrupted")
     assert lines_of(log) == 5 * summary["ticks"]
+
+
+ENDING = """
+import ctypes, os, time
+
+class Controller:
+    def __init__(self, setup):
+        pass
+
+    def reset(self, reference):
+        pass
+
+    def step(self, inputs):
+        {}
+        return 0.0, 0.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("ends", "line"),
+    [("os._exit(0)", "ended with exit status 0"), ("ctypes.string_at(0)", "was ended by SIGSEGV")],
+)
+def test_a_controller_that_ends_its_process_in_the_check_is_named(ends, line, tmp_path):
+    (tmp_path / "ending.py").write_text(ENDING.format(ends))
+    kind = f"{tmp_path / 'ending'}:Controller"
+    process = start("run", "--set", f"controller.kind={kind}", "--out", tmp_path / "run")
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 3
+    assert one_line(errors) == f"error: the check before the run, which calls {kind}, {line}"
+    assert not (tmp_path / "run").exists()
+
+
+def test_ctrl_c_ends_a_check_whose_controller_never_answers(tmp_path):
+    (tmp_path / "ending.py").write_text(ENDING.format("open('begun', 'w'); time.sleep(600)"))
+    process = start("run", "--set", "controller.kind=ending:Controller", cwd=tmp_path)
+    wait_for((tmp_path / "begun").exists)
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate(timeout=30)
+    assert (process.returncode, errors) == (130, "")
+    assert "stopped before the first tick" in output
+
+
+def test_a_check_without_an_answer_ends():
+    with pytest.raises(
+        SilentNodeError,
+        match=r"the check before the run, which calls a\.so, did not answer for 0\.3",
+    ):
+        in_another_process(lambda on_tick: time.sleep(600), "a.so", StopRequest(), 0.3)
+
+
+def test_in_real_time_a_controller_that_ends_shortly_before_the_run_is_named(tmp_path):
+    """The plant goes on to the end: less than the permitted silence is left."""
+    comm = "open('/proc/self/comm').read().strip()"
+    ends = f"if inputs.reference > 0.1 and {comm} == 'rig-controller': os._exit(0)"
+    (tmp_path / "ending.py").write_text(ENDING.format(ends))
+    process = start(
+        "run", "--realtime", "--set", f"controller.kind={tmp_path / 'ending'}:Controller",
+        "--set", "latency_ticks=1", "--set", "tick_s=0.005", "--set", "duration_s=1.5",
+        "--set", "reference.kind=lane-change",
+        "--allow-unstable", "--out", tmp_path / "run",
+    )  # fmt: skip
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 3
+    assert "controller node: ended with exit status 0" in one_line(errors)
 
 
 THREADED = """
