@@ -13,7 +13,7 @@ from can_rig.campaigns.settings import read_campaign
 from can_rig.cli.options import force_option, scenario_options
 from can_rig.cli.output import progress, say, tell
 from can_rig.errors import ExportError
-from can_rig.export.application import exported, in_precision, write
+from can_rig.export.application import exported, in_precision, refuse_export, write
 from can_rig.export.controller_fmu import controller_model, node_model
 from can_rig.export.fmu import name_of, write_fmus
 from can_rig.plant.car_fmu import car_model, write_inputs
@@ -107,6 +107,8 @@ def command(
         raise click.UsageError("--campaign: must come with --evidence")
     if runs is not None and not campaigns:
         raise click.UsageError("--runs: must come with --evidence and --campaign")
+    if not as_fmu:
+        refuse_export(out, force)
     chosen = load(scenario, settings)
     if precision is not None:
         chosen = in_precision(chosen, precision)

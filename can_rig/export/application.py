@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -143,12 +143,25 @@ def write(texts: dict[str, str], folder: Path, force: bool) -> None:
     Raises:
         RunFolderError: the folder exists and is not to be written to, or cannot be written.
     """
-    own = {*texts, *EVIDENCE}
-    kind = Kind("an exported controller", HEADER, lambda _: own, lambda _: True)
-    refuse_folder(folder, kind, force)
-    with whole_folder(folder, kind, force=force) as made:
+    refuse_export(folder, force)
+    with whole_folder(folder, _kind(texts), force=force) as made:
         for name, text in texts.items():
             (made / name).write_bytes(as_bytes(text))
+
+
+def refuse_export(folder: Path, force: bool) -> None:
+    """Refuse a folder that ``write`` would refuse, before the translation.
+
+    Raises:
+        RunFolderError: the reason.
+    """
+    refuse_folder(folder, _kind(()), force)
+
+
+def _kind(names: Iterable[str]) -> Kind:
+    """A folder with the files ``names``."""
+    own = {*names, *EVIDENCE}
+    return Kind("an exported controller", HEADER, lambda _: own, lambda _: True)
 
 
 def _parts(node: Mapping[str, str]) -> set[str]:

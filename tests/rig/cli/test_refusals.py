@@ -25,12 +25,20 @@ def log(tmp_path):
         ("plot", "a.log", "DStar", "--out", "no/such/x.png"),
         ("tune", "--out", "no/such/x"),
         ("figures", "--out", "no/such/x"),
+        ("export", "nothing", "--out", "no/such/x"),
     ],
 )  # fmt: skip
 def test_the_folder_of_an_output_must_exist(words, tmp_path):
     line = refused(*words)
     assert line.startswith(f"error: {words[-1]}")
     assert ": there is no folder no/such; --" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["a.log"]
+
+
+def test_a_picture_in_place_of_a_folder_is_refused(tmp_path):
+    for command, file in (("tune", "tuning.png"), ("figures", "fig-2.2.png")):
+        said = f"error: x.png: --out must name a folder, for {file}"
+        assert refused(command, "--out", "x.png") == said
     assert [path.name for path in tmp_path.iterdir()] == ["a.log"]
 
 
