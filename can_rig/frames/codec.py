@@ -40,7 +40,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from struct import Struct
@@ -644,3 +644,11 @@ class Receiver:
         """Number of rejected frames by `CheckStatus` in lower case, without zeros."""
         counts = self.checker.counts
         return {s.name.lower(): n for s, n in counts.items() if n and s not in USABLE}
+
+
+def is_frame_of(codecs: Iterable[MessageCodec], message: Message) -> bool:
+    """Whether ``message`` is a frame of ``codecs``: kind, length and CRC, with any counter."""
+    return any(
+        message.arbitration_id == codec.frame_id and Receiver(codec).accept(message) is not None
+        for codec in codecs
+    )

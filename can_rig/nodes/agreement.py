@@ -29,7 +29,7 @@ import can
 
 from can_rig.buses.bus import in_one_process, open_for_node
 from can_rig.errors import BusError, ScenarioError
-from can_rig.frames.codec import MessageCodec
+from can_rig.frames.codec import MessageCodec, is_frame_of
 from can_rig.frames.comparison_frames import (
     ASKED,
     PRESENT,
@@ -210,11 +210,8 @@ class Agreement:
             BusError: another node of the same kind is at work.
         """
         end_ns = self._clock.now_ns() + round(ANSWERED_S * NS_PER_S)
-        identifiers = {(codec.frame_id, codec.extended) for codec in own}
         while self._clock.now_ns() < end_ns and (message := self.recv(QUIET_S)) is not None:
-            if message.is_remote_frame or message.is_error_frame:
-                continue
-            if (message.arbitration_id, message.is_extended_id) in identifiers:
+            if is_frame_of(own, message):
                 raise self._another()
 
     def _hear(self, said: Comparison) -> None:

@@ -21,7 +21,7 @@ import can
 
 from can_rig.controllers.protocol import LISTEN_S, Answer, InNode, Inputs, said
 from can_rig.errors import BusError, ScenarioError, SilentNodeError
-from can_rig.frames.codec import Record, tick_from, ticks_ahead
+from can_rig.frames.codec import Record, is_frame_of, tick_from, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Clock, Interrupted, NodeBus, Watchdog
 from can_rig.nodes.ends import ControllerEnd
@@ -129,7 +129,7 @@ class RealTimeControllerNode:
         self._reference_now = Record(math.nan, -1)
         self._speed_now = Record(math.nan, -1)
         self._offered_s = 0.0  # the last reference's time stamp
-        self._command_ids = {network.command_1.frame_id, network.command_2.frame_id}
+        self._commands = (network.command_1, network.command_2)
         self._listened: list[Inputs] | None = []  # the inputs heard; None: the controller drives
         self._waiting: list[Sample] = []
 
@@ -195,7 +195,7 @@ class RealTimeControllerNode:
             self._speed_now = self._end.speed_of(message, None) or self._speed_now
         elif self._end.witnesses.concerns(message):
             self._end.witnesses.take(message, None)
-        elif number in self._command_ids and self._listened is not None:
+        elif self._listened is not None and is_frame_of(self._commands, message):
             raise BusError(
                 "another controller node sends commands on this bus; there must be only one"
             )

@@ -15,6 +15,7 @@ from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import BusError, RigError, ScenarioError
+from can_rig.frames.codec import Transmitter
 from can_rig.frames.comparison_frames import (
     ASKED,
     PRESENT,
@@ -250,14 +251,17 @@ def test_before_its_first_tick_a_node_ends_beside_another_of_its_kind(name, key)
 
 
 def test_a_controller_that_hears_another_at_work_ends_before_it_sends_anything():
-    """DATA is a command; what the plant sends alone is an offer that waits for an answer."""
+    """What the plant sends alone is an offer that waits for an answer."""
     offer = can.Message(arbitration_id=0x101, is_extended_id=False, data=bytes(8))
     asked = can.Message(
         arbitration_id=DATA.arbitration_id, is_extended_id=False, is_remote_frame=True
     )
-    for heard, refused in (([offer], False), ([offer, asked], False), ([offer, DATA], True)):
+    network = network_of(load("default", SHORT))
+    command, damaged = (Transmitter(network.command_1).frame(1.0, 0) for _ in range(2))
+    damaged.data[4] ^= 1
+    others = (([], False), ([asked], False), ([damaged], False), ([command], True))
+    for heard, refused in (([offer, *more], refused) for more, refused in others):
         end = End("controller")
-        network = network_of(end.scenario)
         end.wire.waiting += heard
         with pytest.raises(BusError, match="another controller") if refused else nullcontext():
             end.agreement.listen((network.command_1, network.command_2, network.status))

@@ -9,6 +9,7 @@ from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import OurLaw
 from can_rig.controllers.protocol import InNode
 from can_rig.errors import BusError, ScenarioError, SilentNodeError
+from can_rig.frames.codec import Transmitter
 from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.ends import COMMANDS, PlantEnd
 from can_rig.nodes.realtime.controller_node import warm_up
@@ -381,19 +382,23 @@ def test_a_second_controller_is_refused():
             world.start_controller()
             world.to_controller.append((world.ns, stranger))
 
-    stranger = can.Message(arbitration_id=TORQUE, is_extended_id=False, data=bytes(8))
+    stranger = Transmitter(world.network.command_1).frame(1.0, tick=99)
     with pytest.raises(BusError, match="another controller node"):
         world.run(on_tick=on_tick)
 
 
-def test_a_request_for_a_command_is_no_second_controller():
+@pytest.mark.parametrize("kind", ["request", "damaged"])
+def test_a_frame_that_no_controller_sends_is_no_second_controller(kind):
     world = World(scenario_of("duration_s=0.3"))
-    request = can.Message(arbitration_id=TORQUE, is_extended_id=False, is_remote_frame=True)
+    frame = can.Message(arbitration_id=TORQUE, is_extended_id=False, is_remote_frame=True)
+    if kind == "damaged":
+        frame = Transmitter(world.network.command_1).frame(1.0, tick=99)
+        frame.data[4] ^= 1
 
     def on_tick(tick):
         if tick == 100:
             world.start_controller()
-            world.to_controller.append((world.ns, request))
+            world.to_controller.append((world.ns, frame))
 
     world.run(on_tick=on_tick)
 
