@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import AfterValidator, ConfigDict, Field, PositiveFloat
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PositiveFloat
 from pydantic.dataclasses import dataclass
 
 from can_rig.scenario.own_class import is_class_path
@@ -134,6 +134,13 @@ Root = Annotated[
     Any, AfterValidator(lambda given: tuple(given) if isinstance(given, list) else given)
 ]
 """A number, or a pair; ``TransferFunction`` refuses other values."""
+
+
+def _only_row(given: Any) -> Any:
+    """The row of a matrix with a single row, as C of a state space often stands."""
+    if isinstance(given, list) and len(given) == 1 and isinstance(given[0], list):
+        given = given[0]
+    return tuple(given) if isinstance(given, list) else given
 
 
 class Table(dict[str, Any]):
@@ -362,7 +369,7 @@ class PlantSettings(VehicleParameters):
     g2: TransferFunction = TransferFunction()
     a: tuple[Row, ...] | None = None
     b: tuple[Row, ...] | None = None
-    c: Row | None = None
+    c: Annotated[Row, BeforeValidator(_only_row)] | None = None
     gw: TransferFunction = TransferFunction()
     e: Row | None = None
     input_1: SignalSettings = SignalSettings()

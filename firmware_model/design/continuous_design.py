@@ -325,19 +325,29 @@ def design(plant: Plant, specification: DesignSpecification) -> ContinuousDesign
     )
 
 
+def _cancels(channel: ZeroPoleGain, pole: complex) -> bool:
+    """Whether a zero of the channel stands on the pole."""
+    return any(abs(zero - pole) <= REACH * abs(pole) for zero in channel.zeros)
+
+
 def refuse_unreachable(plant: Plant, feedback: bool) -> None:
     """Raise unless C alone, and after the loss F̂ alone, can hold every unstable mode of ``plant``.
 
-    A mode out of a channel's reach shows as a zero of the channel on the pole.
+    A mode out of a channel's reach shows as a zero of the channel on the pole, a mode that the
+    output does not show as such a zero of both channels.
     """
     for label, channel in (("input 1", plant.g1), ("input 2", plant.g2)):
         for pole in unstable(channel):
-            for zero in channel.zeros:
-                if abs(zero - pole) <= REACH * abs(pole):
-                    raise UnstablePlantError(
-                        f"{plant.name}: {label} does not reach the unstable mode at "
-                        f"{in_words(pole)}: must, or the mode cannot be held by that input alone"
-                    )
+            if all(_cancels(each, pole) for each in (plant.g1, plant.g2)):
+                raise UnstablePlantError(
+                    f"{plant.name}: no input moves the output through the unstable mode at "
+                    f"{in_words(pole)}: must, or no controller holds the mode"
+                )
+            if _cancels(channel, pole):
+                raise UnstablePlantError(
+                    f"{plant.name}: {label} does not reach the unstable mode at "
+                    f"{in_words(pole)}: must, or the mode cannot be held by that input alone"
+                )
             if not feedback:
                 raise UnstablePlantError(
                     f"{plant.name}: pole at {in_words(pole)}, must have real part < 0 without "

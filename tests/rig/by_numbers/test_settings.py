@@ -76,6 +76,13 @@ def test_the_plant_is_that_of_python_control(tmp_path, name):
         np.testing.assert_allclose(own[0, channel], system(1j), rtol=1e-9)
 
 
+def test_c_may_stand_as_the_matrix_of_one_row():
+    row, matrix = (load("pendulum", [f"plant.c={c}"]).plant for c in ("[1, 0]", "[[1, 0]]"))
+    assert matrix == row
+    with refuses("plant.c.0 = [1, 0]: must be a valid number"):
+        load("pendulum", ["plant.c=[[1, 0], [0, 1]]"])
+
+
 def test_gain_and_speed_are_k_and_v_of_k_g_s_over_v():
     for function in (
         TransferFunction(num=(2.0, 3.0), den=(1.0, 2.0, 5.0)),
