@@ -73,11 +73,12 @@ def _plain(key: str, value: Any) -> Any:
         return kind_of(key, value)
     if hasattr(value, "to_scipy_sos"):
         return Whole(sos=value.to_scipy_sos().tolist(), tick_s=value.tick_s)
-    if any(hasattr(value, name) for name in ("A", "num", "poles")):
+    is_array = hasattr(value, "__array__")  # of NumPy a matrix has an A too
+    if not is_array and any(hasattr(value, name) for name in ("A", "num", "poles")):
         return _transfer_function(key, value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return Whole(other_values(dataclasses.asdict(value), {}))
-    if hasattr(value, "__array__"):
+    if is_array:
         value = np.asarray(value)
         is_roots = value.dtype.kind == "c" and value.ndim == 1
         if is_roots and not np.allclose(np.sort_complex(value), np.sort_complex(value.conj())):

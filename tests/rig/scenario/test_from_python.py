@@ -58,6 +58,7 @@ def test_a_system_replaces_the_form_that_was_there():
     assert (after.plant.g1.num, after.plant.g1.zeros) == (tuple(NUM), None)
 
 
+@pytest.mark.filterwarnings("ignore:the matrix subclass:PendingDeprecationWarning")
 def test_a_system_of_two_inputs_is_the_plant():
     a, b = np.array([[-1.0, 2.0], [0.0, -3.0]]), np.array([[0.0, 1.0], [1.0, 0.5]])
     by_state = control.ss(a, b, [[1.0, 0.0]], [[0.0, 0.0]])
@@ -65,6 +66,9 @@ def test_a_system_of_two_inputs_is_the_plant():
     assert made.kind == "state-space"
     np.testing.assert_array_equal(made.a, a)
     np.testing.assert_array_equal(made.b, b)
+    numbers = zip("abc", (by_state.A, by_state.B, by_state.C), strict=True)
+    by_key = {"plant.kind": "state-space", **{f"plant.{key}": np.matrix(m) for key, m in numbers}}
+    assert can_rig.load_scenario("default", by_key).plant == made
     again = can_rig.load_scenario(
         can_rig.load_scenario("default", {"plant": by_state}),
         {"plant": control.tf([[NUM, [5.0]]], [[DEN, [1.0, 3.0]]])},
