@@ -195,8 +195,14 @@ def in_another_process(
         return NodeSummary(0, 0.0, {}, {})
 
     check = NodeProcess.fork("check", node, [])
+
+    def is_done() -> bool:
+        return "summary" in check.said or "error" in check.said
+
     try:
-        _watch([check], StopRequest(), until=lambda: stop.wanted, silence_s=silence_s)
+        _watch([check], StopRequest(), lambda: stop.wanted or is_done(), silence_s=silence_s)
+        if is_done():
+            check.process.join(ENDS_WITHIN_S)  # Python waits for a thread of the user's
         status = check.process.exitcode
         if "summary" in check.said or stop.wanted:
             return
@@ -250,7 +256,12 @@ def _watch(
 def _conclude(processes: list[NodeProcess]) -> NodeSummary:
     """The summary of a run after all nodes ended, or the error of the first node that failed."""
     for each in sorted(processes, key=lambda each: each.ended_s):
+        if "summary" in each.said:
+            continue  # ended, or waits for a thread of a user's controller
         status = each.process.exitcode
+        if "error" in each.said:
+            error = each.said["error"]
+            raise type(error)(f"{each.name} node: {error}")
         if status is None:
             raise SilentNodeError(f"the {each.name} node does not end")
         if status < 0:
@@ -258,9 +269,7 @@ def _conclude(processes: list[NodeProcess]) -> NodeSummary:
                 f"the {each.name} node was ended by {signal.Signals(-status).name} "
                 f"after {processes[-1].ticks} ticks or more"  # reported at times
             )
-        if "summary" not in each.said:
-            error = each.said.get("error", SilentNodeError(f"ended with exit status {status}"))
-            raise type(error)(f"{each.name} node: {error}")
+        raise SilentNodeError(f"{each.name} node: ended with exit status {status}")
     summaries: list[NodeSummary] = [each.said["summary"] for each in processes]
     total = NodeSummary(processes[-1].ticks, summaries[-1].wall_s, {}, {})
     for one in summaries:

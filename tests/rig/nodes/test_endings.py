@@ -186,12 +186,21 @@ class Controller:
 """
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, -15)])
-def test_a_thread_of_a_controller_does_not_outlive_a_signal_after_the_run(tmp_path, number, status):
+@pytest.mark.parametrize(
+    ("how", "number", "status"),
+    [
+        (["--in-process"], signal.SIGINT, 130),
+        (["--in-process"], signal.SIGTERM, -15),
+        ([], signal.SIGINT, 130),
+    ],
+)
+def test_a_thread_of_a_controller_does_not_outlive_a_signal_after_the_run(
+    tmp_path, how, number, status
+):
     (tmp_path / "threaded.py").write_text(THREADED)
     process = start(
         "run", "thesis-step", "--set", "duration_s=0.1", "--set", "fault.kind=none",
-        "--in-process", "--allow-unstable", "--out", tmp_path / "run",
+        *how, "--allow-unstable", "--out", tmp_path / "run",
         "--set", f"controller.kind={tmp_path / 'threaded'}:Controller",
     )  # fmt: skip
     for line in process.stdout:
