@@ -46,10 +46,10 @@ class LogFile:
         RunFolderError: the file is there already, or cannot be opened or written.
     """
 
-    def __init__(self, path: Path, buffering: int = 0) -> None:
+    def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            self._file: IO[bytes] = path.open("wb" if is_stream(path) else "xb", buffering)
+            self._file: IO[bytes] = path.open("wb" if is_stream(path) else "xb", 0)
         except OSError as error:
             raise RunFolderError(f"{path}: cannot be opened: {error.strerror}") from None
 
@@ -66,6 +66,49 @@ class LogFile:
         """Close the file; ``write`` has reported every failure."""
         with suppress(OSError):
             self._file.close()
+
+
+class LaterFile(LogFile):
+    """The same, written by a thread some 0.1 ms later, so that a slow disk delays no tick."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._queue: SimpleQueue[bytes | memoryview] = SimpleQueue()  # empty bytes are the last
+        self._writer: threading.Thread | None = None
+        self._failure: RunFolderError | None = None
+
+    def write(self, text: bytes | memoryview) -> None:
+        """Give the lines to the thread, which inherits this thread's scheduling.
+
+        Raises:
+            RunFolderError: writing has failed since the last call.
+        """
+        if self._failure is not None:
+            raise self._failure
+        if self._writer is None:
+            self._writer = threading.Thread(target=self._write_all, daemon=True)
+            self._writer.start()
+        self._queue.put(text)
+
+    def _write_all(self) -> None:
+        while (text := self._queue.get()) and self._failure is None:
+            try:
+                super().write(text)
+            except RunFolderError as failure:
+                self._failure = failure
+
+    def close(self) -> None:
+        """Close the file after the last line.
+
+        Raises:
+            RunFolderError: writing has failed.
+        """
+        if self._writer is not None:
+            self._queue.put(b"")
+            self._writer.join()
+        super().close()
+        if self._failure is not None:
+            raise self._failure
 
 
 class CandumpLines:
@@ -240,38 +283,30 @@ def write_line(text: Any, at: int, time_us: int, identifier: int, data: int, sen
     return at + 3
 
 
-BUFFER: Final = 1 << 20
-"""Bytes between two writes: a slow disk holds up no more than one tick in ten thousand."""
-
-ROWS: Final = 256
-"""Rows that are turned into text at once."""
-
-
 class PlantRecorder:
     """Writes the plant's signals beside the log of its frames.
 
     Args:
         log: the log; the file has its name with another ending.
+        kind: of the file.
 
     Raises:
         RunFolderError: the file is there already, or cannot be opened or written.
     """
 
-    def __init__(self, log: Path) -> None:
-        self._file = LogFile(plant_signals_path(log), BUFFER)
+    def __init__(self, log: Path, kind: type[LogFile] = LogFile) -> None:
+        self._file = kind(plant_signals_path(log))
         self._names: tuple[str, ...] = ()
-        self._rows: list[tuple[float, ...]] = []
 
     def record(self, tick: int, signals: Mapping[str, float]) -> None:
         """Note the signals of ``tick``, the same ones in each."""
         if not self._names:
             self._write_names(signals)
         if tuple(signals) == self._names:
-            self._rows.append((tick, *signals.values()))
+            self._write_rows([(tick, *signals.values())])
         else:
-            self._rows.append((tick, *(signals.get(name, math.nan) for name in self._names)))
-        if len(self._rows) == ROWS:
-            self._write_rows()
+            values = (signals.get(name, math.nan) for name in self._names)
+            self._write_rows([(tick, *values)])
 
     def record_columns(self, first_tick: int, columns: Mapping[str, FloatArray]) -> None:
         """Note the signals of the ticks from ``first_tick`` on, (ticks,) each."""
@@ -279,16 +314,14 @@ class PlantRecorder:
             self._write_names(columns)
         values = [column.tolist() for column in columns.values()]
         ticks = range(first_tick, first_tick + len(values[0]))
-        self._rows.extend(zip(ticks, *values, strict=True))
-        self._write_rows()
+        self._write_rows(list(zip(ticks, *values, strict=True)))
 
     def _write_names(self, names: Iterable[str]) -> None:
         self._names = tuple(names)
         self._file.write(",".join(("tick", *self._names)).encode() + b"\n")
 
-    def _write_rows(self) -> None:
+    def _write_rows(self, rows: Sequence[tuple[float, ...]]) -> None:
         """Rows of a tick and its signals, in as few digits as tell each value from all others."""
-        rows, self._rows = self._rows, []
         # An interpreted plant gives NumPy's numbers, which orjson does not take for floats.
         text = orjson.dumps(rows, default=float)[2:-2].replace(b"],[", b"\n")
         if b"null" in text:  # JSON has no inf and no nan
@@ -303,55 +336,31 @@ class PlantRecorder:
 
     def __exit__(self, *_: object) -> None:
         with suppress(RunFolderError):  # the log has said that a disk is full
-            if self._rows:
-                self._write_rows()
-        self._file.close()
+            self._file.close()
 
 
 class RealTimeRecorder:
     """Writes candump lines with the time since the start of the run.
 
-    ``at`` sets the time of the next frame, sent or read. ``flush`` gives the thread all recorded
-    lines, which reach the disk some 0.1 ms later.
+    ``at`` sets the time of the next frame, sent or read. ``flush`` writes all recorded lines.
 
     Raises:
         RunFolderError: the file cannot be opened or written.
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = LogFile(path)
+        self._file = LaterFile(path)
         self._lines = CandumpLines()
         self.record = self._lines.record
-        self._queue: SimpleQueue[bytes] = SimpleQueue()  # empty bytes are the last
-        self._writer: threading.Thread | None = None
-        self._failure: RunFolderError | None = None
 
     def at(self, time_ns: int) -> None:
         """Set the next frame's time since the start; times never decrease."""
         self._lines.at(time_ns // 1000)
 
     def flush(self) -> None:
-        """Give the recorded lines to the thread, which inherits this thread's scheduling.
-
-        Raises:
-            RunFolderError: writing has failed since the last call.
-        """
-        if self._failure is not None:
-            raise self._failure
-        lines = self._lines.take()
-        if not lines:
-            return
-        if self._writer is None:
-            self._writer = threading.Thread(target=self._write_all, daemon=True)
-            self._writer.start()
-        self._queue.put(lines)
-
-    def _write_all(self) -> None:
-        while (lines := self._queue.get()) and self._failure is None:
-            try:
-                self._file.write(lines)
-            except RunFolderError as failure:
-                self._failure = failure
+        """Write the recorded lines; raises as ``LaterFile.write`` does."""
+        if lines := self._lines.take():
+            self._file.write(lines)
 
     def __enter__(self) -> Self:
         return self
@@ -359,11 +368,6 @@ class RealTimeRecorder:
     def __exit__(self, *_: object) -> None:
         try:
             self.flush()
-            if self._writer is not None:
-                self._queue.put(b"")
-                self._writer.join()
-            if self._failure is not None:
-                raise self._failure
         finally:
             self._file.close()
 

@@ -39,7 +39,14 @@ from can_rig.nodes.lockstep import (
 from can_rig.nodes.operating import OperatedBus
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
-from can_rig.nodes.recording import PlantRecorder, RealTimeRecorder, Recorder, is_stream
+from can_rig.nodes.recording import (
+    LaterFile,
+    LogFile,
+    PlantRecorder,
+    RealTimeRecorder,
+    Recorder,
+    is_stream,
+)
 from can_rig.nodes.scheduling import preferred, undisturbed
 from can_rig.nodes.ticks import NodeSummary, timed
 from can_rig.scenario.build import network_of
@@ -113,7 +120,8 @@ def run_plant(
             else:
                 recorder = stack.enter_context(Recorder(log, scenario.tick_ns))
             if not is_stream(log):
-                reports = stack.enter_context(PlantRecorder(log))
+                kind = LaterFile if options.real_time else LogFile
+                reports = stack.enter_context(PlantRecorder(log, kind))
         node: PlantNode | RealTimePlantNode
         if options.real_time:
             node = RealTimePlantNode(scenario, network, access.bus, live, SYSTEM_CLOCK, reports)

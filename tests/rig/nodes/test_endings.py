@@ -47,6 +47,7 @@ def test_after_sigkill_the_other_ends_the_line_names_it_and_no_tick_is_lost(
     summary = folder_is_complete(log.parent, victim)
     assert summary["ticks"] == whole_ticks(log) >= max(before, int(said[1]))
     assert f"rate {summary['ticks_per_s']:.0f} ticks/s" in " ".join(output.split())
+    assert lines_of(log.with_name("bus.plant.csv")) > summary["ticks"]  # the first line has names
 
 
 def test_a_node_that_hangs_is_named_and_does_not_stay(thesis_step):
