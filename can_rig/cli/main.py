@@ -1,5 +1,6 @@
 """``can-rig``: the commands by name, each imported on its first call."""
 
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -76,7 +77,9 @@ class Commands(click.Group):
         except RigError as error:
             _refuse(str(error), error.exit_status)
         except UnicodeEncodeError as error:  # bytes of a file name
-            _refuse(f"{error.object}: must be a name in UTF-8", 2)
+            parts = re.finditer(r"[^\r\n<>]+", error.object)  # a whole page may have the name
+            name = next(part[0] for part in parts if part.end() > error.start)
+            _refuse(f"{name.strip('; ')}: must be a name in UTF-8", 2)
         except KeyboardInterrupt:  # where no command has taken the signal for a wish to stop
             sys.exit(INTERRUPTED)
 

@@ -27,8 +27,12 @@ def read_plant_signals(log: Path, first_tick: int, ticks: int) -> PlantSignals:
     Raises:
         LogError: the file exists but cannot be read.
     """
-    path = stored(plant_signals_path(log))
-    if not path.is_file():
+    path = plant_signals_path(log)
+    try:
+        path = stored(path)
+        if not path.is_file():
+            return {}
+    except OSError:  # longer than a name may be, so there is none
         return {}
     columns: PlantSignals = {}
     try:

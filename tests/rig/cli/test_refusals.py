@@ -1,5 +1,8 @@
 """Options that name missing things: a line, exit status 2, no output file."""
 
+import os
+import re
+
 import pytest
 
 from tests.helpers import asked, refused
@@ -61,6 +64,15 @@ def test_a_name_with_a_line_break_and_an_escape_is_refused_on_one_line():
     assert refused("check", "a\nb\x1b[31m.toml").startswith(
         "error: scenario a\\nb\\x1b[31m.toml: no such scenario"
     )
+
+
+def test_a_name_that_is_not_utf_8_is_named_and_not_the_page_or_table_with_the_name(tmp_path):
+    for words in (("view", "--out", "x.html"), ("convert", "ÿ.trc")):
+        command, *rest = (os.fsdecode(word.encode("latin-1")) for word in words)
+        path = os.fsdecode(b"a \xff.log")
+        (tmp_path / path).write_text(FRAMES.replace("vcan1", "can0"))
+        line = refused(command, path, *rest)
+        assert re.fullmatch(r"error: [^<;]{,300}\\udcff\.\w{3}: must be a name in UTF-8", line)
 
 
 def test_a_new_folder_of_decoded_messages_is_made(tmp_path):

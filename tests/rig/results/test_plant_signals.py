@@ -100,6 +100,11 @@ def test_a_line_that_was_not_finished_is_not_read(tmp_path):
     )
 
 
+@pytest.mark.parametrize("letters", [245, 251])
+def test_a_log_s_name_may_leave_no_room_for_a_name_beside(tmp_path, letters):
+    assert read_plant_signals(tmp_path / f"{'x' * letters}.log", 0, 1) == {}
+
+
 @pytest.mark.parametrize("text", [b"tick,a\n0,x\n", b"tick,a\n0,1,2\n", b"tick,\xff\n0,1\n"])
 def test_another_file_of_that_name_is_refused_in_one_line(tmp_path, text):
     log, scenario, _ = signals_of(tmp_path)
