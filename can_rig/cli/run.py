@@ -24,7 +24,7 @@ from can_rig.controllers.making import controller_of
 from can_rig.errors import INTERRUPTED
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
-from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
+from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.realtime import timing
 from can_rig.results import execution
@@ -134,7 +134,7 @@ def command(
         real_time=real_time,
         progress=lambda: counting(chosen.name, "ticks", chosen.ticks),
         controller=running,
-        timeouts=_timeouts(silence_s, interaction),
+        timeouts=_timeouts(silence_s, interaction, chosen.tick_s),
         interaction=interaction,
     )
     done = None if stop.wanted else execution.execute(chosen, out, stop.on_signals(), options)
@@ -152,8 +152,11 @@ def command(
     sys.exit(done.exit_status)
 
 
-def _timeouts(silence_s: float | None, interaction: Interaction) -> Timeouts:
+def _timeouts(silence_s: float | None, interaction: Interaction, tick_s: float) -> Timeouts:
     """Unlimited silence for a run with pauses: the partner of a paused node hears no frame."""
-    if silence_s is None and interaction != UNTOUCHED:
+    if silence_s is not None:
+        return Timeouts(silence_s=silence_s)
+    if interaction.injectable:
         return Timeouts(silence_s=math.inf)
-    return DEFAULT_TIMEOUTS if silence_s is None else Timeouts(silence_s=silence_s)
+    waits_s = tick_s / interaction.pace if interaction.pace else 0.0
+    return Timeouts(silence_s=Timeouts.silence_s + waits_s)

@@ -10,7 +10,7 @@ import pytest
 from can_rig.errors import SilentNodeError
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.processes import in_another_process
-from tests.helpers import start
+from tests.helpers import rig, start
 from tests.processes import wait_for
 from tests.rig.nodes.running import (
     LONG,
@@ -50,15 +50,22 @@ def test_after_sigkill_the_other_ends_the_line_names_it_and_no_tick_is_lost(
     assert lines_of(log.with_name("bus.plant.csv")) > summary["ticks"]  # the first line has names
 
 
-def test_a_node_that_hangs_is_named_and_does_not_stay(thesis_step):
-    process, log, nodes = thesis_step
+@pytest.mark.parametrize(("pace", "waited"), [([], "1"), (["--pace", 2], "1.0005")])
+def test_a_node_that_hangs_is_named_and_does_not_stay(tmp_path, pace, waited):
     victim = "controller"
-    os.kill(nodes[victim], signal.SIGSTOP)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 3
-    assert f"no frame from the {victim} node for 1 s" in one_line(errors)
-    assert not any(map(alive, nodes.values()))
-    folder_is_complete(log.parent, victim)
+    with running(tmp_path, "thesis-step", *pace) as (process, log, nodes):
+        os.kill(nodes[victim], signal.SIGSTOP)
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == 3
+        assert f"no frame from the {victim} node for {waited} s" in one_line(errors)
+        assert not any(map(alive, nodes.values()))
+        folder_is_complete(log.parent, victim)
+
+
+def test_a_pace_slower_than_the_longest_silence_is_no_silence(tmp_path):
+    done = rig("run", "thesis-step", "--pace", 0.0005, "--set", "duration_s=0.002",
+               "--set", "fault.kind=none", "--out", tmp_path / "run")  # fmt: skip
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_killed_run_leaves_no_node_that_waits_for_an_operator(tmp_path):
