@@ -13,6 +13,7 @@ import os
 import re
 import uuid
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -148,6 +149,7 @@ def _compiled(function: Function, *, allocates: bool, nogil: bool = False) -> Fu
     try:
         made: Any = njit(cache=True, **options)(function)
         _name_apart(made)
+        _bear_a_full_disk(made)
     except RuntimeError:  # no folder for the cache
         made = njit(cache=False, **options)(function)
     finally:
@@ -163,3 +165,9 @@ def _name_apart(function: Any) -> None:
     """
     if hasattr(function, "_cache"):  # compiled, not interpreted
         function._cache._cache_file._data_name = lambda _number: f"{uuid.uuid4().hex}.nbc"
+
+
+def _bear_a_full_disk(function: Any) -> None:
+    """Compile where the cache cannot be read or written, as numba does where there is no folder."""
+    if hasattr(function, "_cache"):  # compiled, not interpreted
+        function._cache._guard_against_spurious_io_errors = lambda: suppress(OSError)

@@ -1,9 +1,11 @@
 """Where compiled code is kept, and what happens where it cannot be."""
 
 import os
+import resource
 import subprocess
 import sys
 from collections import defaultdict
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -151,19 +153,29 @@ for code in double.overloads.values():
 """
 
 
+def names(tmp_path: Path, *reals: str, **more: Any) -> list[str]:
+    """What another process prints that runs ``MODULE`` for the types ``reals``."""
+    (tmp_path / "two_types.py").write_text(MODULE)
+    folders = {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, str(tmp_path / "two_types.py"), *reals]
+    done = subprocess.run(
+        command, env=os.environ | folders, capture_output=True, text=True, check=True, **more
+    )
+    return done.stdout.split()
+
+
 @pytest.mark.compiled
 def test_code_that_two_processes_have_cached_for_two_types_has_two_names(tmp_path):
     """A process that loads both would run the one for the other."""
-    (tmp_path / "two_types.py").write_text(MODULE)
-    folders = {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
-
-    def names(*reals: str) -> list[str]:
-        command = [sys.executable, str(tmp_path / "two_types.py"), *reals]
-        done = subprocess.run(
-            command, env=os.environ | folders, capture_output=True, text=True, check=True
-        )
-        return done.stdout.split()
-
-    (double,), (single,) = names("f8"), names("f4")
+    (double,), (single,) = names(tmp_path, "f8"), names(tmp_path, "f4")
     assert double != single
-    assert names("f4", "f8") == [single, double]
+    assert names(tmp_path, "f4", "f8") == [single, double]
+
+
+@pytest.mark.compiled
+def test_a_full_disk_is_no_refusal_to_compile(tmp_path):
+    def full() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # no file of a byte or more
+
+    assert len(names(tmp_path, "f8", preexec_fn=full)) == 1
+    assert not [path for path in tmp_path.rglob("*.nb?") if path.stat().st_size]
