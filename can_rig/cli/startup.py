@@ -12,6 +12,7 @@ import logging
 import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -33,6 +34,18 @@ def raise_again() -> None:
     """From here on Ctrl-C raises ``KeyboardInterrupt``, so half-written files are removed."""
     if signal.getsignal(signal.SIGINT) is _end:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        sys.unraisablehook = _interrupt_later
+
+
+def _interrupt_later(lost: "sys.UnraisableHookArgs") -> None:
+    """Python drops what a destructor or a callback of C raises, a Ctrl-C too: raise it once more.
+
+    The thread gives the main thread time to leave the destructor.
+    """
+    if isinstance(lost.exc_value, KeyboardInterrupt):
+        threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGINT)).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 def _end(_number: int, _frame: object) -> None:

@@ -1,4 +1,4 @@
-"""What every command does on a terminal with few letters, a full disk and with few open files."""
+"""What every command does with few letters, a full disk, few open files and an odd Ctrl-C."""
 
 import json
 import os
@@ -89,3 +89,30 @@ def test_json_is_alone_on_standard_output(tmp_path):
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["ticks"] == 10
     assert "by Python" in done.stderr and "by C" in done.stderr
+
+
+SWALLOWED = """
+import signal, time
+from can_rig.cli.startup import end_at_once, raise_again
+
+class Interrupted:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+end_at_once()
+raise_again()
+interrupted = Interrupted()
+try:
+    del interrupted
+    time.sleep(600)
+except KeyboardInterrupt:
+    print("stopped")
+"""
+
+
+def test_ctrl_c_in_a_destructor_is_neither_lost_nor_a_traceback():
+    """Python would print the exception, and go on."""
+    command = [sys.executable, "-c", SWALLOWED]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "stopped\n", "")
