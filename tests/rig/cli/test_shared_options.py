@@ -37,14 +37,14 @@ def test_a_run_as_json_has_the_metrics_of_its_folder(tmp_path):
 
 @pytest.mark.parametrize(
     ("words", "silence_s"),
-    [((), 1.0), (("--silence", "7"), 7.0), (("--pace", "50"), math.inf),
+    [((), 1.0), (("--silence", "7"), 7.0), (("--pace", "0.002"), 1.5),
      (("--injectable",), math.inf), (("--injectable", "--silence", "7"), 7.0)],
 )  # fmt: skip
 def test_a_run_that_may_be_paused_bears_every_silence_unless_told(words, silence_s, monkeypatch):
     asked_for: list[execution.Options] = []
     monkeypatch.setattr(execution, "execute", lambda *of: asked_for.append(of[-1]))
     assert asked(*RUN, *words).returncode == INTERRUPTED
-    assert [each.timeouts.silence_s for each in asked_for] == [silence_s]
+    assert [each.timeouts.silence_s for each in asked_for] == [silence_s]  # and the paced tick
 
 
 def test_a_silence_in_one_process_is_refused():
