@@ -23,10 +23,10 @@ from can_rig.campaigns.settings import (
     Scalar,
 )
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import LIMITS, NEW, Written, as_settings, value_in, written
+from can_rig.scenario.loading import LIMITS, Written, as_settings, value_in, written
 from can_rig.scenario.plant_settings import SHORTEST_LAG_S
 from can_rig.scenario.sensor_settings import MEASURED
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import LISTS, Scenario
 from firmware_model.law.structs import FloatArray
 
 DIGITS: Final = 9
@@ -71,10 +71,10 @@ class Base:
         name, _, own = key.partition(".")
         number, _, rest = own.partition(".")
         listed = self.values.get(name)
-        if name in NEW and number.isdecimal():
+        if name in LISTS and number.isdecimal():
             known = len(listed) if isinstance(listed, list) else 1
             if int(number) >= known:
-                return getattr(NEW[name], rest, None)
+                return getattr(LISTS[name], rest, None)
         return value_in(self.values, key)
 
     def has(self, key: str) -> bool:
@@ -392,7 +392,7 @@ def _number_of_table(key: str) -> int:
     """The number of a fault or disturbance in ``key``; a new table must follow the others."""
     name, _, own = key.partition(".")
     number = own.partition(".")[0]
-    return int(number) if name in NEW and number.isdecimal() else -1
+    return int(number) if name in LISTS and number.isdecimal() else -1
 
 
 def plan(settings: CampaignSettings) -> Plan:

@@ -23,7 +23,6 @@ from pydantic import TypeAdapter, ValidationError
 from can_rig.errors import ScenarioError, did_you_mean
 from can_rig.scenario import shipped
 from can_rig.scenario.controller_settings import LIBRARY
-from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import NUMBER, FaultSettings, key_of
 from can_rig.scenario.own_class import is_class_path, seen_from
 from can_rig.scenario.plant_settings import (
@@ -39,17 +38,9 @@ from can_rig.scenario.plant_settings import (
     TRANSFER_FUNCTIONS,
 )
 from can_rig.scenario.refusal import refusal
-from can_rig.scenario.sensor_settings import FurtherSensor
 from can_rig.scenario.settings import LISTS, Scenario
 
 FAULT: Final = "fault"
-
-NEW: Final[dict[str, FaultSettings | DisturbanceSettings | FurtherSensor]] = {
-    FAULT: FaultSettings(),
-    "disturbance": DisturbanceSettings("none"),
-    "sensor": FurtherSensor("yaw-rate"),
-}
-"""The table that a change of the next free number begins from."""
 
 UNSET: Final = {key for key in NUMBER.values() if getattr(FaultSettings, key) is None}
 """Keys of faults without a default value."""
@@ -412,7 +403,7 @@ def written_by(scenario: Scenario) -> dict[str, Any]:
 def keys_of(name: str, table: Mapping[str, Any]) -> dict[str, Any]:
     """The keys of a fault, disturbance or sensor: the first, and all that differ from the usual."""
     first = next(iter(table))
-    return {first: table[first], **other_values(table, asdict(NEW[name]))}
+    return {first: table[first], **other_values(table, asdict(LISTS[name]))}
 
 
 def other_values(

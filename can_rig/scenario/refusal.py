@@ -5,11 +5,11 @@ import difflib
 import math
 import re
 from collections.abc import Sequence
-from typing import Any, Final, get_args, get_origin, get_type_hints
+from typing import Any, Final, get_type_hints
 
 from pydantic import ValidationError
 
-from can_rig.scenario.settings import keys
+from can_rig.scenario.settings import keys, table_of
 
 FEW: Final = 8
 """Words that a line can list."""
@@ -99,17 +99,9 @@ def _one_of(value: Any, expected: str) -> str:
     )
 
 
-def _keys(settings: Any, location: Sequence[str]) -> list[str]:
+def _keys(settings: type[Any], location: Sequence[str]) -> list[str]:
     """Key names of the table at ``location``; a scenario's name is no key of its file."""
-    at_top = not location
-    for part in location:
-        if part.isdecimal():  # of a list
-            continue
-        if get_origin(settings) is dict:  # tables by free names
-            settings = get_args(settings)[1]
-            continue
-        settings = get_type_hints(settings)[part]
-        if get_origin(settings) is tuple:  # a list of tables
-            settings = get_args(settings)[0]
+    for part in location:  # numbers of a list and free names stay at the same settings
+        settings = table_of(get_type_hints(settings).get(part)) or settings
     names = [field.name for field in dataclasses.fields(settings)]
-    return [name for name in names if not (at_top and name == "name")]
+    return [name for name in names if location or name != "name"]

@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import Annotated, Any, Final, Literal, get_args, get_type_hints
+from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 from pydantic.dataclasses import dataclass
@@ -58,11 +58,11 @@ SLOWEST_DESIGN_MPS: Final = 1.0  # at lower speeds a torque hardly turns the car
 FASTEST_MPS: Final = 100.0
 
 LISTS: Final[dict[str, Any]] = {
-    "fault": FaultSettings,
-    "disturbance": DisturbanceSettings,
-    "sensor": FurtherSensor,
+    "fault": FaultSettings(),
+    "disturbance": DisturbanceSettings("none"),
+    "sensor": FurtherSensor("yaw-rate"),
 }
-"""Keys with a table or a list of tables, and the settings of a table."""
+"""Keys with a table or a list of tables, and the table with which a further number begins."""
 
 Speed = Annotated[float, Field(ge=0.0, le=FASTEST_MPS)]
 DesignSpeed = Annotated[float, Field(ge=SLOWEST_DESIGN_MPS, le=FASTEST_MPS)]
@@ -571,15 +571,20 @@ def keys(table: type = Scenario, prefix: str = "") -> list[str]:
     """Every key that a scenario file or ``--set`` may name, with dots between table and key."""
     found: list[str] = []
     for name, kind in get_type_hints(table).items():
-        inner = [kind, *get_args(kind), LISTS.get(name)]  # a table, a table or None, a list
-        tables = [
-            each for each in inner if isinstance(each, type) and dataclasses.is_dataclass(each)
-        ]
-        for each in tables[:1]:
-            found += keys(each, f"{prefix}{name}.")
-        if not tables and (prefix or name != "name"):
+        inner = table_of(kind)
+        if inner is not None:
+            found += keys(inner, f"{prefix}{name}.")
+        elif prefix or name != "name":
             found.append(prefix + name)
     return found
+
+
+def table_of(kind: Any) -> type | None:
+    """The settings in the type of a key: of a table or None, a list, or tables by free names."""
+    if get_origin(kind) is dict:
+        return table_of(get_args(kind)[1])
+    inner = (each for each in (kind, *get_args(kind)) if isinstance(each, type))
+    return next(filter(dataclasses.is_dataclass, inner), None)
 
 
 def _refuse_speeds(scenario: Scenario) -> None:
