@@ -11,8 +11,8 @@ import math
 import re
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from datetime import datetime
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -29,6 +29,8 @@ OTHER_UNITS: Final = re.compile(r"km/?h|kph|mph|\bms\b", re.IGNORECASE)
 
 SINCE_1970_S: Final = 1e8, 1e11
 """Numbers in this range are seconds since 1970: 1973 to 5138."""
+SECONDS, HH_MM_SS = "seconds", "hh:mm:ss"
+"""Kinds of times, beside dates."""
 CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:\.\d+)?)")
 DAY_S: Final = 86400.0
 
@@ -152,75 +154,65 @@ class _Times:
     where: str
     factor: float = 1.0
     kind: str = ""
-    first: float | datetime = 0.0
+    first_s: float = 0.0
     days: int = 0
-    last: float = field(default=-math.inf)
+    last_s: float = -math.inf
 
     def of(self, number: int, said: str) -> float:
         """The time of a row in line ``number``."""
         where = f"{self.where}: line {number}"
-        kind, value = _instant(said)
+        kind, value_s = _instant(said)
         if not kind:
             raise ScenarioError(
                 f"{where}: {said!r}: must be a time: seconds, hh:mm:ss, or a date with a time, "
                 "as in 2026-05-04T10:00:00"
             )
-        scaled = value * self.factor if isinstance(value, float) and kind == "seconds" else value
+        if kind == SECONDS:
+            value_s *= self.factor
         if not self.kind:
             self.kind = kind
-            if isinstance(scaled, float) and kind == "seconds":
-                since_1970 = SINCE_1970_S[0] <= scaled
-                if scaled >= SINCE_1970_S[1]:
-                    raise ScenarioError(
-                        f"{where}: {said} s: must be seconds; a header time_ms says milliseconds"
-                    )
-                self.first = scaled if since_1970 else 0.0
-            else:
-                self.first = scaled
+            if kind == SECONDS and value_s >= SINCE_1970_S[1]:
+                raise ScenarioError(
+                    f"{where}: {said} s: must be seconds; a header time_ms says milliseconds"
+                )
+            of_the_run = kind == SECONDS and value_s < SINCE_1970_S[0]
+            self.first_s = 0.0 if of_the_run else value_s
         if kind != self.kind:
             raise ScenarioError(f"{where}: {said!r}: must be {self.kind} like the time before")
-        time_s = self._since_first(where, said, scaled)
-        if not time_s > self.last:
-            raise ScenarioError(
-                f"{where}: {time_s:.12g} s after {self.last:.12g} s: "
-                "times must increase from row to row"
-            )
-        self.last = time_s
-        return time_s
-
-    def _since_first(self, where: str, said: str, value: float | datetime) -> float:
-        if isinstance(value, datetime):
-            assert isinstance(self.first, datetime)
-            try:
-                return (value - self.first).total_seconds()
-            except TypeError:
-                raise ScenarioError(
-                    f"{where}: {said!r}: must have a time zone in every row, or in none"
-                ) from None
-        assert isinstance(self.first, float)
-        time_s = value - self.first
-        if self.kind == "hh:mm:ss":
+        time_s = value_s - self.first_s
+        if kind == HH_MM_SS:
             time_s += DAY_S * self.days
-            if time_s < self.last - 0.5 * DAY_S:  # past midnight
+            if time_s < self.last_s - 0.5 * DAY_S:  # past midnight
                 self.days += 1
                 time_s += DAY_S
+        elif kind != SECONDS:
+            time_s = round(time_s, 6)  # a date has microseconds
+        if not time_s > self.last_s:
+            raise ScenarioError(
+                f"{where}: {time_s:.12g} s after {self.last_s:.12g} s: "
+                "times must increase from row to row"
+            )
+        self.last_s = time_s
         return time_s
 
 
-def _instant(said: str) -> tuple[str, float | datetime]:
-    """The kind of a time, "" for none, and its value."""
+def _instant(said: str) -> tuple[str, float]:
+    """The kind of a time, "" for none, and its seconds."""
     number = _number(said)
     if number is not None and math.isfinite(number):
-        return "seconds", number
+        return SECONDS, number
     if clock := CLOCK.fullmatch(said):
         hours, minutes, seconds = (float(part) for part in clock.groups())
         if hours < 24.0 and minutes < 60.0 and seconds < 61.0:
-            return "hh:mm:ss", 3600.0 * hours + 60.0 * minutes + seconds
+            return HH_MM_SS, 3600.0 * hours + 60.0 * minutes + seconds
         return "", 0.0
     try:
-        return "a date with a time", datetime.fromisoformat(said)
+        date = datetime.fromisoformat(said)
     except ValueError:
         return "", 0.0
+    if date.tzinfo is None:
+        return "a date and a time without a time zone", date.replace(tzinfo=UTC).timestamp()
+    return "a date and a time with a time zone", date.timestamp()
 
 
 def _read(
