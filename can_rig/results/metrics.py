@@ -13,6 +13,7 @@ use D* of the car before its sensor.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
@@ -150,7 +151,7 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
         "force_difference_needed_n": None if authority is None else authority.needed_n,
         "force_difference_available_n": None if authority is None else authority.available_n,
         "dstar_carried_mps2": None if authority is None else authority.carries_mps2,
-        **harm_metrics(scenario, signals, torque_lost(scenario, signals)),
+        **harm_metrics(scenario, signals),
     }
 
 
@@ -388,10 +389,7 @@ def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | 
     missed = {each.missed_detection for each in found} - {None}
     suspected_s = [each.suspected_after_s for each in found if each.suspected_after_s is not None]
     delay_s = [each.detection_delay_s for each in found if each.detection_delay_s is not None]
-    lost, shown = torque_lost(scenario, signals), np.zeros(len(signals), dtype=np.bool_)
-    for fault in scenario.faults:
-        if fault.loses_a_channel and fault.place == TORQUE:
-            shown |= _shown(scenario, signals, fault)
+    lost, shown = (_of_the_torque(scenario, signals, ticks) for ticks in (_there, _shown))
     healthy_s = float((~lost).sum()) * scenario.tick_s
     confirmed, suspected = _claims(signals, TORQUE), _suspicions(signals)
     alarms = int((_begins(confirmed) & ~shown).sum())
@@ -413,13 +411,15 @@ def _says(scenario: Scenario, codes: FloatArray | None) -> bool:
     return known or scenario.controller.is_ours
 
 
-def torque_lost(scenario: Scenario, signals: Signals) -> Mask:
-    """(ticks,), whether a fault of the torque exists."""
-    lost = np.zeros(len(signals), dtype=np.bool_)
+def _of_the_torque(
+    scenario: Scenario, signals: Signals, ticks: Callable[[Scenario, Signals, FaultSettings], Mask]
+) -> Mask:
+    """(ticks,), the ``ticks`` of any fault of the torque."""
+    found = np.zeros(len(signals), dtype=np.bool_)
     for fault in scenario.faults:
-        if fault.loses_a_channel and fault.place == TORQUE:
-            lost |= _there(scenario, signals, fault)
-    return lost
+        if fault.place == TORQUE:
+            found |= ticks(scenario, signals, fault)
+    return found
 
 
 def detection_of(scenario: Scenario, signals: Signals, at: int) -> Detection:
@@ -551,8 +551,7 @@ def _known_already(scenario: Scenario, signals: Signals, at: int, begun: int) ->
     """Whether the claim began in another, unfinished fault of the same channel."""
     begin_ns, _ = scenario.faults[at].span_ns
     return any(
-        other.loses_a_channel
-        and other.place == scenario.faults[at].place
+        other.place == scenario.faults[at].place
         and other.span_ns[0] <= begin_ns < other.span_ns[1]
         and bool(_shown(scenario, signals, other)[begun])
         for number, other in enumerate(scenario.faults)
@@ -605,16 +604,8 @@ NAMED: Final[dict[Verdict, frozenset[str]]] = {
 """The places that a verdict names; ``CANNOT_BE_TOLD`` names no place."""
 
 
-def harm_metrics(
-    scenario: Scenario, signals: Signals, lost: Mask
-) -> dict[str, float | bool | str | None]:
-    """The metrics of the whole run beside the same run without compensation.
-
-    Args:
-        scenario: the run.
-        signals: its signals.
-        lost: (ticks,), whether a fault of the torque exists.
-    """
+def harm_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | bool | str | None]:
+    """The metrics of the whole run beside the same run without compensation."""
     with_it = without = path = path_without = None
     output = signals.plant.get(TRUE_OUTPUT)
     if output is not None and len(signals):
@@ -625,7 +616,8 @@ def harm_metrics(
             without, path_without = _away(other, goal, scenario.tick_s)
     network = network_of(scenario)
     force, limit_n = signals.force_difference_n, target(scenario, network).limit_2
-    acts = ~lost & (np.abs(force) > ACTS * limit_n)
+    works = ~_of_the_torque(scenario, signals, _there)
+    acts = works & (np.abs(force) > ACTS * limit_n)
     least = max(network.feedback.lsb, 10.0**-DECIMALS)
     ratio = None if with_it is None or without is None or without < least else with_it / without
     return {
@@ -635,8 +627,8 @@ def harm_metrics(
         "astray_m": path,
         "astray_uncompensated_m": path_without,
         "torque_rms_nm": _rms(signals.torque_nm),
-        "force_difference_unneeded_rms_n": _rms(force, ~lost),
-        "force_difference_unneeded_peak_n": peak_of(_magnitude(force), ~lost),
+        "force_difference_unneeded_rms_n": _rms(force, works),
+        "force_difference_unneeded_peak_n": peak_of(_magnitude(force), works),
         "compensated_unneeded_s": float(acts.sum()) * scenario.tick_s if len(signals) else None,
         **_placed(scenario, signals),
     }

@@ -10,7 +10,7 @@ from can_rig.assessment.resolve import load
 from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.frameless import frameless
 from can_rig.results.counterfactual import signals_without_log
-from can_rig.results.metrics import harm_metrics, metrics_of, torque_lost
+from can_rig.results.metrics import harm_metrics, metrics_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState, Verdict
@@ -123,7 +123,7 @@ def test_a_constant_deviation_leads_half_a_t_squared_astray(away, begin):
     moved = signals.plant[TRUE_OUTPUT].copy()
     moved[begin:] += away
     signals = replace(signals, plant={TRUE_OUTPUT: moved})
-    values = harm_metrics(scenario, signals, torque_lost(scenario, signals))
+    values = harm_metrics(scenario, signals)
     assert values["deviation_peak_mps2"] == pytest.approx(abs(away))
     n = min(300 - begin, 200)
     assert values["astray_m"] == pytest.approx(abs(away) * 1e-4 * n * (n + 1) / 2.0, abs=1e-8)
@@ -135,18 +135,15 @@ def test_no_window_is_longer_than_two_seconds():
     signals = signals_without_log(off)
     moved = signals.plant[TRUE_OUTPUT].copy()
     moved[100:200] += 1.0  # 1 m/s aside after a second, and from there on
-    lost = torque_lost(off, signals)
-    values = harm_metrics(off, replace(signals, plant={TRUE_OUTPUT: moved}), lost)
+    values = harm_metrics(off, replace(signals, plant={TRUE_OUTPUT: moved}))
     assert values["astray_m"] == pytest.approx(1.5, rel=0.01)  # 0.5 m in the second, 1 m after it
 
 
 def test_x_diff_counts_as_unneeded_only_while_the_torque_works():
     scenario = load("default", ["duration_s=3", "fault.at_s=1", "fault.for_s=0.5"])
     signals = signals_without_log(scenario)
-    lost = torque_lost(scenario, signals)
-    assert np.flatnonzero(lost).tolist() == list(range(1000, 1500))
-    values = harm_metrics(scenario, signals, lost)
-    spare = signals.force_difference_n[~lost]
+    values = harm_metrics(scenario, signals)
+    spare = np.delete(signals.force_difference_n, slice(1000, 1500))
     assert values["force_difference_unneeded_peak_n"] == np.abs(spare).max() > 0.0
     rms = float(np.sqrt(np.mean(spare**2)))
     assert values["force_difference_unneeded_rms_n"] == pytest.approx(rms)
@@ -158,7 +155,7 @@ def test_x_diff_counts_as_unneeded_only_while_the_torque_works():
 def test_a_log_without_reports_of_the_plant_has_no_true_deviation():
     scenario = load("default", SHORT)
     signals = replace(signals_without_log(scenario), plant={})
-    values = harm_metrics(scenario, signals, torque_lost(scenario, signals))
+    values = harm_metrics(scenario, signals)
     assert values["deviation_peak_mps2"] is values["astray_uncompensated_m"] is None
     assert values["verdict"] == "TORQUE_LOST"
 
@@ -182,7 +179,7 @@ def test_the_longest_verdict_since_the_first_fault_is_right_or_wrong(
 ):
     scenario = load("ideal", [f"duration_s={len(codes) / 1000}", *settings])
     signals = replace(signals_without_log(scenario), verdict=np.array(codes, dtype=np.float64))
-    values = harm_metrics(scenario, signals, torque_lost(scenario, signals))
+    values = harm_metrics(scenario, signals)
     assert (values["verdict"], values["right_place"], values["wrong_place"]) == (
         verdict, right, wrong,
     )  # fmt: skip
