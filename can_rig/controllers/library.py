@@ -12,7 +12,7 @@ from can_rig.controllers.protocol import Answer, Inputs
 from can_rig.controllers.setup import ControllerSetup
 from can_rig.errors import RigError, ScenarioError
 from can_rig.scenario.controller_settings import LIBRARY
-from can_rig.scenario.plant_settings import flat_parameters
+from can_rig.scenario.plant_settings import flat
 from can_rig.scenario.remembered import state_of_file
 
 ABI: Final = 1
@@ -95,7 +95,7 @@ class LibraryController:
             raise ScenarioError(f"{where}: controller_abi() is {found}: must be {ABI}")
         library.controller_new.restype = ctypes.c_void_p
         library.controller_reset.restype = library.controller_free.restype = None
-        parameters = _parameters(where, flat_parameters(chosen.parameters))
+        parameters = _parameters(where, dict(flat(chosen.parameters)))
         names = (ctypes.c_char_p * len(parameters))(*(name.encode() for name in parameters))
         values = (ctypes.c_double * len(parameters))(*parameters.values())
         made = library.controller_new(

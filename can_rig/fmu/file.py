@@ -15,7 +15,7 @@ from fmpy.simulation import settable_in_initialization_mode, settable_in_instant
 
 from can_rig.errors import ScenarioError, did_you_mean, one_line
 from can_rig.logs.columns import TAKEN
-from can_rig.scenario.plant_settings import FMU, flat_parameters
+from can_rig.scenario.plant_settings import FMU, flat
 
 CO_SIMULATION: Final = "co-simulation"
 MODEL_EXCHANGE: Final = "model-exchange"
@@ -212,7 +212,7 @@ class _Names:
             raise ScenarioError(
                 f"{here}: must be an output of the FMU, not {_a(variable.causality)}"
             )
-        if is_input and variable.name in flat_parameters(self._request.parameters):
+        if is_input and variable.name in dict(flat(self._request.parameters)):
             raise ScenarioError(f"{here}: must not stand in {self._request.table}.parameters too")
         is_real = (is_input or is_output) and key not in self._request.codes
         allowed = REAL if is_real else NUMBERS
@@ -240,7 +240,7 @@ class _Names:
 
     def parameters(self) -> dict[str, bool | int | float | str]:
         """The parameters of the request, after checks of settability and type."""
-        given = flat_parameters(self._request.parameters)
+        given = dict(flat(self._request.parameters))
         for name, value in given.items():
             here = f"{self._request.table}.parameters.{name} = {value!r}"
             variable = self._find(here, name, "parameter")

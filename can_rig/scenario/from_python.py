@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from can_rig.errors import ScenarioError, one_line
-from can_rig.scenario.loading import Changes, Whole, as_settings, flat, other_values
+from can_rig.scenario.loading import Changes, as_settings, other_values, toml_text
 from can_rig.scenario.own_class import path_of
-from can_rig.scenario.plant_settings import STATE_SPACE, TRANSFER_FUNCTIONS
+from can_rig.scenario.plant_settings import STATE_SPACE, TRANSFER_FUNCTIONS, flat
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.systems import Polynomials, continuous
 from firmware_model.errors import DesignError
@@ -30,8 +30,8 @@ def settings_of(changes: Changes | None) -> list[str]:
     """
     if changes is None or not isinstance(changes, Mapping):
         return as_settings({} if changes is None else changes)
-    pairs = (pair for key, value in flat(changes) for pair in _settings(str(key), value))
-    return as_settings(dict(pairs))
+    pairs = (pair for key, value in flat(changes) for pair in _settings(key, value))
+    return [f"{key}={toml_text(key, value)}" for key, value in pairs]
 
 
 def kind_of(key: str, value: object) -> str:
@@ -63,7 +63,7 @@ def _settings(key: str, value: Any) -> Iterator[tuple[str, Any]]:
                 f"reference: an array of shape {samples.shape}: must be (ticks,), a number for "
                 "each tick"
             )
-        yield key, Whole(kind="samples", samples_mps2=samples.tolist())
+        yield key, {"kind": "samples", "samples_mps2": samples.tolist()}
     else:
         yield key, _plain(key, value)
 
@@ -72,12 +72,12 @@ def _plain(key: str, value: Any) -> Any:
     if inspect.isclass(value) or inspect.isfunction(value) or key.endswith(".kind"):
         return kind_of(key, value)
     if hasattr(value, "to_scipy_sos"):
-        return Whole(sos=value.to_scipy_sos().tolist(), tick_s=value.tick_s)
+        return {"sos": value.to_scipy_sos().tolist(), "tick_s": value.tick_s}
     is_array = hasattr(value, "__array__")  # of NumPy a matrix has an A too
     if not is_array and any(hasattr(value, name) for name in ("A", "num", "poles")):
         return _transfer_function(key, value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return Whole(other_values(dataclasses.asdict(value), {}))
+        return other_values(dataclasses.asdict(value), {})
     if is_array:
         value = np.asarray(value)
         is_roots = value.dtype.kind == "c" and value.ndim == 1
@@ -85,11 +85,11 @@ def _plain(key: str, value: Any) -> Any:
             raise ScenarioError(f"{key} = {value}: must have the conjugate of each root")
         value = _roots(value) if is_roots else value.tolist()
     if isinstance(value, Mapping):
-        return Whole({name: _plain(f"{key}.{name}", each) for name, each in value.items()})
+        return {name: _plain(f"{key}.{name}", each) for name, each in value.items()}
     return [_plain(key, each) for each in value] if isinstance(value, list | tuple) else value
 
 
-def _transfer_function(key: str, system: Any) -> Whole:
+def _transfer_function(key: str, system: Any) -> dict[str, Any]:
     """A system with one input and output; of a sampled system the domain is z."""
     tick_s, shown = getattr(system, "dt", None), system
     if tick_s:  # ``continuous`` reads attributes
@@ -98,10 +98,10 @@ def _transfer_function(key: str, system: Any) -> Whole:
     try:
         form = continuous(shown)
         if isinstance(form, Polynomials):
-            table = Whole(num=form.num.tolist(), den=form.den.tolist())
+            table = {"num": form.num.tolist(), "den": form.den.tolist()}
         else:
             of = form if isinstance(form, ZeroPoleGain) else form.zero_pole_gain()
-            table = Whole(zeros=_roots(of.zeros), poles=_roots(of.poles), gain=of.gain)
+            table = {"zeros": _roots(of.zeros), "poles": _roots(of.poles), "gain": of.gain}
     except DesignError as error:
         raise ScenarioError(f"{key}: {one_line(error)}") from None
     if tick_s and key.startswith(("plant", "model")):
@@ -140,8 +140,8 @@ def _plant(key: str, system: Any) -> Iterator[tuple[str, Any]]:
                 "output, or plant.g1 and plant.g2"
             )
         pairs = zip(system.num[0], system.den[0], strict=True)
-        g1, g2 = (Whole(num=list(num), den=list(den)) for num, den in pairs)
+        g1, g2 = ({"num": list(num), "den": list(den)} for num, den in pairs)
         numbers, kind = {"g1": g1, "g2": g2}, TRANSFER_FUNCTIONS
-    none: dict[str, Any] = {"a": [], "b": [], "c": [], "g1": Whole(), "g2": Whole()}
+    none: dict[str, Any] = {"a": [], "b": [], "c": [], "g1": {}, "g2": {}}
     for name, value in {"kind": kind, **none, **numbers}.items():
         yield f"{key}.{name}", value

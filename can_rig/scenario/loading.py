@@ -36,6 +36,7 @@ from can_rig.scenario.plant_settings import (
     SIGNALS,
     STATE_SPACE,
     TRANSFER_FUNCTIONS,
+    flat,
 )
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import LISTS, Scenario
@@ -47,10 +48,6 @@ UNSET: Final = {key for key in NUMBER.values() if getattr(FaultSettings, key) is
 
 Changes = Mapping[str, object]
 """Key → value; keys with dots, or tables within tables."""
-
-
-class Whole(dict[str, Any]):
-    """A table that replaces the whole table of its key."""
 
 
 def change(values: dict[str, Any], setting: str, where: str = "--set ") -> None:
@@ -116,15 +113,6 @@ def as_settings(changes: Changes) -> list[str]:
             f"changes = {changes!r}: must be a mapping of keys, as in {{'plant.speed_mps': 20.0}}"
         )
     return [f"{key}={toml_text(key, value)}" for key, value in flat(changes)]
-
-
-def flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Keys with dots, also from tables within tables."""
-    for key, value in changes.items():
-        if isinstance(value, Mapping) and not isinstance(value, Whole):
-            yield from flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
 
 
 def toml_text(key: str, value: Any) -> str:

@@ -520,20 +520,18 @@ class PlantSettings(VehicleParameters):
         return self.torque_actuator.stage, self.force_difference_actuator.stage, self.sensor.stage
 
 
-def flat_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """``{"body": {"mass": 5}}`` → ``{"body.mass": 5}``: tables of TOML, names of Modelica's."""
-    flat: dict[str, Any] = {}
-    for key, value in parameters.items():
+def flat(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """``{"body": {"mass": 5}}`` → ``("body.mass", 5)``: tables of TOML, names of Modelica's."""
+    for key, value in values.items():
         if isinstance(value, Mapping):
-            flat |= {f"{key}.{inner}": each for inner, each in flat_parameters(value).items()}
+            yield from flat(value, f"{prefix}{key}.")
         else:
-            flat[key] = value
-    return flat
+            yield f"{prefix}{key}", value
 
 
 def checked_parameters(parameters: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """The flat parameters, each a finite number, a text, true or false."""
-    for key, value in flat_parameters(parameters).items():
+    for key, value in flat(parameters):
         if not isinstance(value, bool | int | float | str):
             raise ValueError(
                 f"parameters.{key} = {value!r}: must be a number, a text, true or false"

@@ -40,6 +40,7 @@ from can_rig.scenario.plant_settings import (
     TRANSFER_FUNCTIONS,
     PlantSettings,
     SignalSettings,
+    flat,
 )
 from can_rig.scenario.sensor_settings import (
     ECHOES,
@@ -557,14 +558,13 @@ def _other_plant(scenario: Scenario) -> Iterator[str]:
             yield f"model.{key}, driven with another plant.{key}"
 
 
-def leaves(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Each key of ``Scenario.as_dict``, with dots and numbers of a list's tables, and its value."""
-    for key, value in values.items():
-        inner = dict(enumerate(value)) if isinstance(value, list) and key in LISTS else value
-        if isinstance(inner, Mapping):
-            yield from leaves(inner, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
+def leaves(scenario: Scenario) -> dict[str, Any]:
+    """Each key, with dots and numbers of a list's tables, and its value."""
+    values = scenario.as_dict()
+    for key in LISTS:
+        if isinstance(values[key], list):
+            values[key] = dict(enumerate(values[key]))
+    return dict(flat(values))
 
 
 def keys(table: type = Scenario, prefix: str = "") -> list[str]:

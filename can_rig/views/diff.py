@@ -33,7 +33,7 @@ def differing_settings(a: Scenario, b: Scenario) -> list[SettingDifference]:
 
     A parameter of ``model`` that is the plant's in both runs is not listed beside the plant's.
     """
-    values_a, values_b = dict(leaves(a.as_dict())), dict(leaves(b.as_dict()))
+    values_a, values_b = leaves(a), leaves(b)
     found = []
     for key in {**values_a, **values_b}:  # a plant's own parameters may occur in one run only
         value, other = values_a.get(key), values_b.get(key)

@@ -257,7 +257,7 @@ def _of_faults(faults: list[dict[str, Any]], names: Names) -> Iterator[str]:
 
 
 def _settings(scenario: Scenario) -> Iterator[tuple[str, Any]]:
-    for key, value in _known(dict(leaves(scenario.as_dict()))):
+    for key, value in _known(leaves(scenario)):
         yield key, Code(value) if isinstance(value, str) else value
 
 
