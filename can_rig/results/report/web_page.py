@@ -25,7 +25,7 @@ from can_rig.drawing.style import FAR
 from can_rig.frames.network import Network
 from can_rig.logs.columns import SPEED, TRUE_OUTPUT, VERDICT
 from can_rig.results.counterfactual import applied_commands
-from can_rig.results.curves import charts_of, curves_of, in_small_letters
+from can_rig.results.curves import curves_of, in_small_letters
 from can_rig.results.isolation import in_words
 from can_rig.results.metrics import Metrics
 from can_rig.results.motion import scene
@@ -38,64 +38,49 @@ from can_rig.storage import paged
 from firmware_model.law.status import Verdict
 from firmware_model.law.structs import FloatArray
 
-
-class Panel(NamedTuple):
-    """A chart, and its curves with their values (ticks,)."""
-
-    chart: Chart
-    curves: list[tuple[Curve, FloatArray]]
+DISTANCE: Final = "distance"
+"""The curve whose chart has decades."""
 
 
-def panels(scenario: Scenario, network: Network, signals: Signals) -> list[Panel]:
-    """The panels of ``report.png``, and the state of the controller."""
-    names, charts = names_of(scenario.plant), charts_of(names_of(scenario.plant), None)
+def _panels(
+    scenario: Scenario, network: Network, signals: Signals
+) -> list[tuple[str, list[tuple[Curve, FloatArray]]]]:
+    """The panels of ``report.png``, and the state of the controller: title, curves with values."""
+    names = names_of(scenario.plant)
     looks = {curve.key: curve for curve in curves_of(names, network, None)}
     beside, label, distance = compared_with(scenario, signals)
-    far = apart(beside, signals, scenario)
     unit = names.output.unit
-    drawn = {
-        "output": [
-            (looks["output"], signals.dstar_mps2),
-            (replace(looks["reference"], label=label), beside),
-        ],
-        "error": [
-            (
-                Curve("distance", distance, unit, "blue", 0.8),
-                np.maximum(far, network.feedback.lsb, out=far),
-            )
-        ],
-    }
+    output = [
+        (looks["output"], signals.dstar_mps2),
+        (replace(looks["reference"], label=label), beside),
+    ]
     if TRUE_OUTPUT in signals.plant and not scenario.design.feedback:
         true = Curve("true_output", f"true {names.output.name}", unit, "green")
-        drawn["output"].append((true, signals.plant[TRUE_OUTPUT]))
+        output.append((true, signals.plant[TRUE_OUTPUT]))
     other = counterpart(scenario, names, signals)
     if other is not None:
         near = not _remote(other[0], signals.dstar_mps2)
         curve = Curve("other", other[1], unit, "orange", 1.2, (2, 2), sets_scale=near)
-        drawn["output"].append((curve, other[0]))
+        output.append((curve, other[0]))
+    far = apart(beside, signals, scenario)
+    far = np.maximum(far, network.feedback.lsb, out=far)
+    found = [
+        (names.output.name, output),
+        (distance, [(Curve(DISTANCE, distance, unit, "blue", 0.8), far)]),
+    ]
     applied = applied_commands(scenario, signals)
     commanded = signals.torque_nm, signals.force_difference_n
     for n, pair in enumerate(zip(commanded, applied, strict=True), 1):
         keys = f"command_{n}", f"applied_{n}"
-        drawn[keys[0]] = [(looks[key], of) for key, of in zip(keys, pair, strict=True)]
-    drawn["estimate"] = [(looks["estimate"], signals.fault_estimate_mps2)]
-    drawn["mode"] = [(looks["mode"], signals.mode)]
-    drawn["fault_state"] = [(looks["fault_state"], signals.fault_state)]
-    titles = {chart.keys[0]: chart.title for chart in charts}
-    titles |= {"error": distance, "estimate": "fault estimate", "fault_state": "fault state"}
-    if SPEED in signals.plant:
-        drawn["speed"] = [(Curve("speed", "speed", "m/s"), signals.plant[SPEED])]
-    return [
-        Panel(
-            Chart(
-                titles.get(key, key),
-                tuple(curve.key for curve, _ in curves),
-                "log" if key == "error" else "linear",
-            ),
-            curves,
-        )
-        for key, curves in drawn.items()
+        found.append((names[n].name, [(looks[k], of) for k, of in zip(keys, pair, strict=True)]))
+    found += [
+        ("fault estimate", [(looks["estimate"], signals.fault_estimate_mps2)]),
+        ("mode", [(looks["mode"], signals.mode)]),
+        ("fault state", [(looks["fault_state"], signals.fault_state)]),
     ]
+    if SPEED in signals.plant:
+        found.append(("speed", [(Curve("speed", "speed", "m/s"), signals.plant[SPEED])]))
+    return found
 
 
 def _remote(values: FloatArray, other: FloatArray) -> bool:
@@ -116,11 +101,15 @@ def _span(values: FloatArray) -> float:
 
 def recording(scenario: Scenario, network: Network, signals: Signals) -> Recording:
     """What the bench shows of a run."""
-    shown = panels(scenario, network, signals)
+    charts, curves = [], []
+    for title, pairs in _panels(scenario, network, signals):
+        keys = tuple(curve.key for curve, _ in pairs)
+        charts.append(Chart(title, keys, "log" if DISTANCE in keys else "linear"))
+        curves += pairs
     return Recording(
         signals.time_s,
-        [pair for panel in shown for pair in panel.curves],
-        [panel.chart for panel in shown],
+        curves,
+        charts,
         [
             {"begin": each.at_s, "end": _end_of(each), "colour": colour}
             for colour, every in (("confirmed", scenario.faults), ("sky", scenario.disturbances))

@@ -18,7 +18,7 @@ from can_rig.panel.live import HOLD, LiveSignals
 from can_rig.plant.frameless import frameless
 from can_rig.replaying.replay import OpenLoop
 from can_rig.results.report.page import page
-from can_rig.results.report.web_page import panels
+from can_rig.results.report.web_page import recording
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import speeds_at_ticks
@@ -67,9 +67,9 @@ def test_signals_have_it_and_replay_knows_it(log):
 
 def test_report_and_panel_show_it(log):
     signals = read_signals(log, NETWORK, SCENARIO.tick_s)
-    speed = panels(SCENARIO, NETWORK, signals)[-1]
-    curve, values = speed.curves[0]
-    assert (speed.chart.title, curve.unit) == ("speed", "m/s")
+    shown = recording(SCENARIO, NETWORK, signals)
+    curve, values = shown.curves[-1]
+    assert (shown.charts[-1].title, curve.unit) == ("speed", "m/s")
     assert values[-1] == pytest.approx(13.0)
     drawn = page(SCENARIO, NETWORK, signals).axes[-1]  # over the fault estimate
     assert drawn.lines[0].get_ydata().max() == pytest.approx(13.0)
