@@ -141,10 +141,9 @@ def what_if(
 
 def _logged(source: Source, chunks: Iterable[Frames]) -> Signals:
     """The signals of the log, with the recorded tick."""
-    messages = (m for frames in chunks for m in frames.messages())
     scenario = source.scenario
     network = network_of(scenario)
-    signals = signals_of(messages, network, scenario.tick_s, source.in_time_ticks)
+    signals = signals_of(chunks, network, scenario.tick_s, source.in_time_ticks)
     if not np.isfinite(signals.reference_mps2).any():
         raise LogError(f"{source.log.path}: has no reference of the rig; it must be a log of it")
     return with_plant_signals(signals, source.log.path, scenario.tick_s)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +16,7 @@ from can_rig.drawing.names import column_names
 from can_rig.frames.codec import NO_DECISION, WIRE_TICKS, Hearing, Receiver, tick_at, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.logs.columns import ON_THE_BUS
-from can_rig.logs.frames import ERROR, REMOTE
+from can_rig.logs.frames import ERROR, REMOTE, Frames
 from can_rig.logs.plant_signals import PlantSignals, read_plant_signals
 from can_rig.logs.reading import read_log
 from can_rig.nodes.ticks import RunColumns
@@ -123,7 +123,7 @@ def read_signals(log: Path, network: Network, tick_s: float, in_time_ticks: int 
     Raises:
         LogError: the log cannot be read, or contains a line without a frame.
     """
-    signals = signals_of(data_frames(log), network, tick_s, in_time_ticks)
+    signals = signals_of(read_log(log), network, tick_s, in_time_ticks)
     return with_plant_signals(signals, log, tick_s)
 
 
@@ -172,21 +172,22 @@ def with_plant_signals(signals: Signals, log: Path, tick_s: float) -> Signals:
 
 
 def signals_of(
-    messages: Iterable[Message], network: Network, tick_s: float, in_time_ticks: int = 1
+    chunks: Iterable[Frames], network: Network, tick_s: float, in_time_ticks: int = 1
 ) -> Signals:
-    """Signals of frames in order, time stamps in s; see ``read_signals``."""
+    """Signals of the data frames of a log; see ``read_signals``."""
     table = SignalRows(network, tick_s, in_time_ticks)
-    width, first_tick = table.width, None
+    width = table.width
     with paged.rows_file(8 * width * paged.PAGED_ROWS) as file:
-        for count, message in enumerate(messages):
-            table.take(message)
-            if count % paged.BLOCK_ROWS == 0 and table.rows:
-                first_tick = table.first_tick if first_tick is None else first_tick
+        for frames in chunks:
+            for rows in paged.blocks(len(frames)):
+                part = frames[rows]
+                for message in part[~part.has(REMOTE | ERROR)].messages():
+                    table.take(message)
                 paged.append(file, table.take_complete())
-        first_tick = table.first_tick if first_tick is None else first_tick
         paged.append(file, table.rows)
         columns: Any = paged.columns(file, width)
     ticks = len(columns[0])
+    first_tick = table.first_tick + len(table.rows) - ticks
     verdict = columns[ROLE_COLUMNS + CODES - 1] if network.status.verdicts else None
     further = columns[ROLE_COLUMNS + CODES :]
     return replace(
@@ -195,16 +196,6 @@ def signals_of(
         sensors=dict(zip(table.sensors, further, strict=False)),
         sample_ages=dict(zip(table.sample_ages, further[len(table.sensors) :], strict=True)),
     )
-
-
-def data_frames(log: Path) -> Iterator[Message]:
-    """The data frames of a log, in order.
-
-    Raises:
-        LogError: see ``read_signals``.
-    """
-    for frames in read_log(log):
-        yield from frames[~frames.has(REMOTE | ERROR)].messages()
 
 
 class SignalRows:

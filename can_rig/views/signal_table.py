@@ -128,8 +128,7 @@ def read_table(path: Path, scenario: Scenario) -> SignalTable:
     if path.name.lower().removesuffix(".gz").endswith(".csv") and content_format(path) is None:
         return _from_csv(log_path(path), str(path), None)
     log = read_log(log_path(path))
-    messages = (message for frames in log for message in frames.messages())
-    signals = signals_of(messages, network_of(scenario), scenario.tick_s)
+    signals = signals_of(log, network_of(scenario), scenario.tick_s)
     signals = with_plant_signals(signals, log.path, scenario.tick_s)
     if not len(signals):
         raise LogError(f"{path}: has no usable frame of the rig")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from can_rig.results.signals import data_frames
+from can_rig.logs.reading import read_log
 from tests.helpers import record
 from tests.rig.replay.drive import SETTINGS
 
@@ -15,4 +15,4 @@ def drive(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def frames(drive):
-    return list(data_frames(drive))
+    return [message for chunk in read_log(drive) for message in chunk.messages()]
