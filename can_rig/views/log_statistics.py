@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
+from can.util import dlc2len, len2dlc
 from numpy.typing import NDArray
 
 from can_rig.assessment.frame_length import worst_case_bits
 from can_rig.errors import LogError
-from can_rig.frames.foreign_frames import FD_LENGTHS
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     CLASSIC_BYTES,
@@ -193,7 +193,7 @@ class LogStatistics:
         if (kind, length) not in self._durations:
             fd = bool(kind & FD)
             bits = worst_case_bits(
-                length if fd else min(length, CLASSIC_BYTES),
+                dlc2len(len2dlc(length)) if fd else min(length, CLASSIC_BYTES),
                 extended=bool(kind & EXTENDED),
                 remote=bool(kind & REMOTE),
                 fd=fd,
@@ -207,7 +207,7 @@ class LogStatistics:
         kinds, which = np.unique(
             frames.flags.astype(np.int64) << 8 | frames.length, return_inverse=True
         )
-        each_s = np.array([self.duration_s(int(k) >> 8, _fd_length(int(k))) for k in kinds])
+        each_s = np.array([self.duration_s(int(k) >> 8, int(k) & 0xFF) for k in kinds])
         busy_s = each_s[which] if len(kinds) else np.zeros(0)
         second = (frames.time_ns - self.first_ns) // NS_PER_S
         for at, bus in enumerate(frames.channels):
@@ -218,11 +218,3 @@ class LogStatistics:
                 held = self._busy.setdefault(bus, defaultdict(float))
                 for one, share in zip(seconds.tolist(), sums.tolist(), strict=True):
                     held[one] += share
-
-
-def _fd_length(kind: int) -> int:
-    """The payload length of a kind; for CAN FD the next possible length."""
-    length = int(kind & 0xFF)
-    if not kind >> 8 & FD:
-        return length
-    return int(next(size for size in FD_LENGTHS if size >= length))
