@@ -11,13 +11,13 @@ import click
 from can_rig.cli.options import channel_option, log_argument, window_options
 from can_rig.cli.output import reading
 from can_rig.decoding.decode import Databases, Decoder
-from can_rig.errors import RigError
 from can_rig.frames.databases import load_database, load_for, shipped_dbc
 from can_rig.logs.frames import Frames, Log, Window, window_of
 from can_rig.logs.reading import read_log
 from can_rig.results.run_folder import LOG
-from can_rig.results.source import log_path, only_channel, source_of
+from can_rig.results.source import log_path, only_channel
 from can_rig.scenario.build import dbc_of
+from can_rig.views.signal_table import scenario_of
 
 CAR: Final = "steer_by_wire.dbc"
 
@@ -87,11 +87,8 @@ def own_dbc(source: Path) -> Path:
     """The DBC of a run folder's scenario, also where its log is named; else that of the car."""
     if not source.is_dir() and source.name.removesuffix(".gz") != LOG:
         return shipped_dbc(CAR)
-    folder = source if source.is_dir() else source.parent
-    try:
-        return dbc_of(source_of(folder, None, ()).scenario)
-    except RigError:  # a run killed before run.json was written
-        return shipped_dbc(CAR)
+    run = scenario_of(source if source.is_dir() else source.parent)
+    return shipped_dbc(CAR) if run is None else dbc_of(run)  # None: killed before run.json
 
 
 def decoding_options(function: Callable[..., None]) -> Callable[..., None]:

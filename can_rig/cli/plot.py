@@ -38,8 +38,7 @@ def command(asked: Asked, signals: tuple[str, ...], out: Path | None, force: boo
     if not drawn:
         nothing = decoder.nothing_on_channel or f"no frame of {', '.join(absent)} can be decoded"
         raise LogError(f"{source.path}: {nothing}")
-    run = scenario_of(asked.path) if asked.path.is_dir() else None
-    page = plot_page(found, drawn, source.start_ns, run)
+    page = plot_page(found, drawn, source.start_ns, scenario_of(asked.path))
     with atomic(out, force=force) as part:
         page.savefig(part, dpi=150)
     note(source.notice, f"no frame of {', '.join(absent)}" if absent else None)

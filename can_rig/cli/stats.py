@@ -11,10 +11,9 @@ from can_rig.cli.decoding import Asked, decoding_options, hint
 from can_rig.cli.options import force_option, json_option
 from can_rig.cli.output import json_line, note, say, table, wide
 from can_rig.decoding.decode import Decoder
-from can_rig.errors import RigError
-from can_rig.results.source import source_of
 from can_rig.storage.files import atomic, refuse_picture
 from can_rig.views.log_statistics import LogStatistics
+from can_rig.views.signal_table import scenario_of
 
 USUAL_BITRATE: Final = 500_000
 
@@ -48,7 +47,8 @@ def command(
     """
     if out is not None:
         refuse_picture(out, force)
-    known = _bitrate_of(asked.path) if bitrate is None else bitrate
+    run = scenario_of(asked.path)
+    known = run.bus.bitrate if bitrate is None and run is not None else bitrate
     bitrate = USUAL_BITRATE if known is None else known
     try:
         statistics = LogStatistics(bitrate, data_bitrate)
@@ -74,14 +74,6 @@ def command(
     note(source.notice, hint(asked, decoder))
     if out is not None:
         say(f"picture in {out}")
-
-
-def _bitrate_of(log: Path) -> int | None:
-    """The bit rate of a run folder's scenario; None for other logs."""
-    try:
-        return source_of(log, None, ()).scenario.bus.bitrate
-    except RigError:
-        return None
 
 
 def _summary(statistics: LogStatistics, decoder: Decoder) -> dict[str, Any]:

@@ -151,7 +151,7 @@ def _rounded(column: FloatArray, rows: slice) -> FloatArray:
 
 
 def scenario_of(folder: Path) -> Scenario | None:
-    """The scenario recorded in a run folder; None without a record."""
+    """The scenario recorded in a run folder; None without a record, and for a log."""
     try:
         return load_run(recorded_scenario(folder)[0])
     except ScenarioError:
