@@ -1,15 +1,11 @@
 """What the tests of results share: a run of both nodes in this process."""
 
-from collections.abc import Callable
-
 import pytest
 
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from tests.helpers import record
-
-Run = Callable[..., tuple[Scenario, Signals]]
 
 
 @pytest.fixture

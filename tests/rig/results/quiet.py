@@ -1,13 +1,9 @@
 """A run in which nothing moves."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
-
-Run = Callable[..., tuple[Scenario, Signals]]
 
 COLUMNS = [
     name
