@@ -14,6 +14,7 @@ from can_rig.scenario.plant_settings import (
     Table,
     TransferFunction,
     checked_parameters,
+    not_of,
     refuse_large,
 )
 from firmware_model.discretisation.rules import Rule
@@ -99,9 +100,7 @@ class ControllerSettings:
             )
         given = [key for key in FILTER_NAMES if getattr(self, key)]
         if given and self.kind != FILTERS:
-            raise ValueError(
-                f"{given[0]}: must not be set for kind = {self.kind!r}; kind = {FILTERS!r} has it"
-            )
+            raise not_of(self.kind, given[0], f"kind = {FILTERS!r}")
         if self.kind == FILTERS and not given:
             raise ValueError(f"{FILTER_NAMES[0]}: a filter must be set for kind = {FILTERS!r}")
         for key, value in checked_parameters(self.parameters):
@@ -110,9 +109,7 @@ class ControllerSettings:
                     f"parameters.{key} = {value!r}: must not be set for kind = {self.kind!r}"
                 )
         if self.variables and not self.is_fmu:
-            raise ValueError(
-                f"variables: must not be set for kind = {self.kind!r}; only {FMU}FILE.fmu has it"
-            )
+            raise not_of(self.kind, "variables", f"only {FMU}FILE.fmu")
 
     def refuse_other_tick(self, tick_s: float) -> None:
         """Refuse a filter in z of another tick."""

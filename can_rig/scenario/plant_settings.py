@@ -409,9 +409,7 @@ class PlantSettings(VehicleParameters):
                 )
         for key in ("variables", "fmi_type"):
             if getattr(self, key) and not self.is_fmu:
-                raise ValueError(
-                    f"{key}: must not be set for kind = {self.kind!r}; only {FMU}FILE.fmu has it"
-                )
+                raise not_of(self.kind, key, f"only {FMU}FILE.fmu")
         for key in SIGNALS if self.is_fmu else ():
             if not self.variables.get(key):
                 raise ValueError(f"variables.{key}: must be set, as the name of the FMU's variable")
@@ -424,26 +422,18 @@ class PlantSettings(VehicleParameters):
             if given and key not in own:
                 beside = f" beside {', '.join(own)}" if own and self.is_own else ""
                 has = next(kind for kind, built_in in BUILT_IN.items() if key in built_in.keys)
-                raise ValueError(
-                    f"{key}: must not be set{beside} for kind = {self.kind!r}; "
-                    f"kind = {has!r} has it"
-                )
+                raise not_of(self.kind, key, f"kind = {has!r}", beside)
             if key in own and not given:
                 raise ValueError(
                     f"{key}: must be set for kind = {self.kind!r}, which has {', '.join(own)}"
                 )
         for kind, key in PUSHED_BY.items():
             if getattr(self, key) and self.kind != kind:
-                raise ValueError(
-                    f"{key}: must not be set for kind = {self.kind!r}; kind = {kind!r} has it"
-                )
+                raise not_of(self.kind, key, f"kind = {kind!r}")
         for field in dataclasses.fields(VehicleParameters) if self.kind in BY_NUMBERS else ():
             value = getattr(self, field.name)
             if value != getattr(TABLE_3_2, field.name):
-                raise ValueError(
-                    f"{field.name} = {value:g}: must not be set for kind = {self.kind!r}; "
-                    f"kind = {CAR!r} has it"
-                )
+                raise not_of(self.kind, f"{field.name} = {value:g}", f"kind = {CAR!r}")
         for key in SIGNALS if self.kind == CAR else ():
             if getattr(self, key) != SignalSettings():
                 raise ValueError(
@@ -518,6 +508,11 @@ class PlantSettings(VehicleParameters):
     def stages(self) -> tuple[Stage, Stage, Stage]:
         """The linear parts of both actuators and the sensor."""
         return self.torque_actuator.stage, self.force_difference_actuator.stage, self.sensor.stage
+
+
+def not_of(kind: str, key: str, has: str, beside: str = "") -> ValueError:
+    """The refusal of a key that this kind of plant or controller lacks, and another one has."""
+    return ValueError(f"{key}: must not be set{beside} for kind = {kind!r}; {has} has it")
 
 
 def flat(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
