@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any
 import tomli_w
 
 from can_rig.assessment import resolve
-from can_rig.assessment.frame_length import FrameError
 from can_rig.assessment.speeds import check as check_speeds
 from can_rig.assessment.stability import StabilityCheck
 from can_rig.assessment.tuning.candidate import cars_of
@@ -269,10 +268,7 @@ def stats(
         LogError: the log cannot be read.
         RigError: impossible bit rates.
     """
-    try:
-        statistics = LogStatistics(bitrate, data_bitrate)
-    except FrameError as error:
-        raise RigError(str(error)) from None
+    statistics = LogStatistics(bitrate, data_bitrate)
     for frames in read_log(log_path(_path("log", log))):
         statistics.add(frames)
     statistics.finish()

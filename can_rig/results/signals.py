@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -71,16 +71,13 @@ class Signals:
 
     def __getitem__(self, rows: slice) -> Signals:
         """The signals of some ticks."""
-        columns: Any = {name: getattr(self, name)[rows] for name in _OF_FRAMES}
-        return replace(
-            self,
-            **columns,
-            verdict=None if self.verdict is None else self.verdict[rows],
-            plant={name: column[rows] for name, column in self.plant.items()},
-            sensors={name: column[rows] for name, column in self.sensors.items()},
-            sample_ages={name: column[rows] for name, column in self.sample_ages.items()},
-            whose_fault={name: column[rows] for name, column in self.whose_fault.items()},
-        )
+
+        def part(values: Any) -> Any:
+            if isinstance(values, dict):
+                return {name: column[rows] for name, column in values.items()}
+            return None if values is None else values[rows]
+
+        return Signals(**{name: part(values) for name, values in vars(self).items()})
 
     def write_csv(self, path: Path, plant: PlantSettings) -> None:
         """Write the columns of frames, plant, verdict and sensors; an empty cell means nan."""
@@ -95,9 +92,6 @@ class Signals:
                 for row in zip(*(column[rows].tolist() for column in columns), strict=True):
                     line = whole % row
                     file.write(line if "nan" not in line else ",".join(map(cell, row)) + "\n")
-
-
-_OF_FRAMES: Final = [each.name for each in fields(Signals)][:8]
 
 
 def cell(value: float) -> str:

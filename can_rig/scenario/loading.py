@@ -12,6 +12,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
+from copy import deepcopy
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -254,7 +255,7 @@ class Written:
         Raises:
             ScenarioError: an invalid change.
         """
-        values: dict[str, Any] = _copied(self.values)
+        values = deepcopy(self.values)
         for setting in settings:
             change(values, setting, where)
         return replace(self, values=values)
@@ -331,13 +332,6 @@ def toml_file(what: str, name: str, known: Mapping[str, Path]) -> tuple[Path, di
         raise ScenarioError(
             f"{what} {name}: not readable as TOML: lists must not be so deep"
         ) from None
-
-
-def _copied(value: Any) -> Any:
-    """A deep copy of TOML's tables and lists, open to changes."""
-    if isinstance(value, dict):
-        return {key: _copied(each) for key, each in value.items()}
-    return [_copied(each) for each in value] if isinstance(value, list) else value
 
 
 def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
