@@ -12,7 +12,6 @@ from pydantic import TypeAdapter, ValidationError
 from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controller_table
 from can_rig.scenario.loading import draft
@@ -83,15 +82,6 @@ OTHER = {
     "bus.bitrate": 500000, "bus.compute_s": 0.0001,
     "description": "words",
 }  # fmt: skip
-
-
-def test_every_shipped_scenario_loads_and_its_controller_can_be_built():
-    assert list(shipped()) == sorted(shipped())
-    for name in shipped():
-        scenario = load(name)
-        assert scenario.name == name
-        assert scenario.description
-        controller_table(scenario, network_of(scenario))
 
 
 def test_the_defaults_are_the_thesis_s():
