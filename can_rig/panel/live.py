@@ -4,7 +4,7 @@ import math
 import time
 from bisect import bisect_right
 from collections import Counter, deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.frame_length import FrameError, worst_case_bits
-from can_rig.controllers.protocol import samples_in
+from can_rig.controllers.protocol import Inputs
 from can_rig.drawing.names import names_of, printed, with_unit
 from can_rig.drawing.thinning import BUCKET_S, Decimator
 from can_rig.errors import one_line
@@ -334,8 +334,9 @@ class LiveSignals:
     def _row(self, tick: int, *heard: float) -> tuple[float, ...]:
         said, further = heard[: ROLE_COLUMNS + CODES], heard[ROLE_COLUMNS + CODES :]
         names = (*self._rows.sensors, *self._rows.sample_ages)
-        samples = samples_in(dict(zip(names, further, strict=True)))
-        evidence = self._evidence(tick, samples, *heard[:4])
+        witnesses = dict(zip(names, further, strict=True))
+        reference, measured, *sent = heard[:4]
+        evidence = self._evidence(tick, Inputs(reference, measured, witnesses=witnesses), sent)
         applied = self._applied.pop(tick, (np.nan, np.nan))
         still = (self._second_mass.next(applied), *NO_MOTION[1:])
         return (
@@ -346,14 +347,7 @@ class LiveSignals:
             *self._motion.pop(tick, still),
         )
 
-    def _evidence(
-        self,
-        tick: int,
-        samples: Iterable[tuple[int, float, float]],
-        reference: float,
-        measured: float,
-        *sent: float,
-    ) -> Sequence[float]:
+    def _evidence(self, tick: int, inputs: Inputs, sent: Sequence[float]) -> Sequence[float]:
         """The evidence for each hypothesis, from a second control law fed with the received frames.
 
         The copy equals the controller's law only from the first tick of a run on, with the same
@@ -363,7 +357,7 @@ class LiveSignals:
             self._reasoning = None
             return UNKNOWN
         self._next_tick += 1
-        _, evidence = self._reasoning.take(tick, reference, measured, samples)
+        _, evidence = self._reasoning.take(tick, inputs)
         for own, its, lsb in zip(self._reasoning.commands, sent, self._lsbs, strict=True):
             if abs(own - its) > max(0.5 * lsb, FLOAT_FRAME * abs(own)):
                 self._reasoning = None

@@ -1,14 +1,14 @@
 """Whose fault it was: verdict and evidence of each tick, and in words."""
 
 import math
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
-from can_rig.controllers.protocol import samples_in
+from can_rig.controllers.our_law import OurLaw
+from can_rig.controllers.protocol import Inputs
 from can_rig.drawing.names import Names, names_of
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
@@ -20,7 +20,7 @@ from can_rig.scenario.sensor_settings import LATERAL_ACCELERATION, USUAL, YAW_RA
 from can_rig.scenario.settings import Scenario
 from can_rig.storage import paged
 from firmware_model.design.vehicle import dstar
-from firmware_model.firmware import Firmware
+from firmware_model.firmware import PYTHON_LAW
 from firmware_model.law.status import Verdict
 from firmware_model.law.structs import FloatArray
 
@@ -36,41 +36,35 @@ class Reasoning:
     """
 
     def __init__(self, scenario: Scenario, network: Network) -> None:
-        of = controls(scenario, network)
-        self._made = partial(Firmware, of.table, speeds=of.schedule)
-        self._firmware = self._made()
+        self._made = partial(OurLaw, scenario, network, PYTHON_LAW)
+        self._law = self._made()
         self._outages = scenario.outages
         self._speeds = _speeds(scenario, network)
-        self.confirm: Final = float(of.table.decision.confirm)
+        self.confirm: Final = float(controls(scenario, network).table.decision.confirm)
         """The evidence that confirms a loss."""
 
-    def take(
-        self,
-        tick: int,
-        reference: float,
-        measured: float,
-        samples: Iterable[tuple[int, float, float]] = (),
-    ) -> tuple[int, FloatArray]:
+    def take(self, tick: int, inputs: Inputs) -> tuple[int, FloatArray]:
         """The verdict of this tick, and the evidence of each hypothesis in the order ``EVIDENCE``.
 
         In a tick without inputs the law waits. A controller without power has no verdict.
         """
         if any(tick in outage for outage in self._outages):
             return 0, np.zeros(len(EVIDENCE))
-        if any(tick == outage.stop for outage in self._outages):
-            self._firmware = self._made()
+        for outage in self._outages:
+            if tick == outage.stop:
+                saved, self._law = self._law.saved(), self._made()
+                if outage.state_survives:
+                    self._law.restore(saved)
         if self._speeds is not None:
-            self._firmware.change_speed(self._speeds[min(tick, len(self._speeds) - 1)])
-        for sample in samples:
-            self._firmware.hear(*sample)
-        self._firmware.step(reference, measured)
-        hypotheses = self._firmware.hypotheses
+            inputs = inputs._replace(speed_mps=self._speeds[min(tick, len(self._speeds) - 1)])
+        self._law.step(inputs)
+        hypotheses = self._law.firmware.hypotheses
         return int(hypotheses["verdict"]), hypotheses["evidence"][1:]
 
     @property
     def commands(self) -> tuple[float, float]:
         """The commands of this tick."""
-        return self._firmware.commands
+        return self._law.commands
 
 
 def _with_made_output(scenario: Scenario, network: Network, signals: Signals) -> Signals:
@@ -121,8 +115,9 @@ def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Sign
         verdicts, evidence = np.zeros(len(ticks)), np.zeros((len(ticks), len(EVIDENCE)))
         inputs = signals.reference_mps2[rows].tolist(), signals.dstar_mps2[rows].tolist()
         for row, (tick, reference, measured) in enumerate(zip(ticks, *inputs, strict=True)):
-            samples = samples_in({name: column.item(rows.start + row) for name, column in told})
-            verdicts[row], evidence[row] = reasoning.take(tick, reference, measured, samples)
+            witnesses = {name: column.item(rows.start + row) for name, column in told}
+            of_tick = Inputs(reference, measured, witnesses=witnesses)
+            verdicts[row], evidence[row] = reasoning.take(tick, of_tick)
         said = np.clip(np.nan_to_num(evidence, nan=0.0), -CERTAIN, CERTAIN)
         for name, values in zip(EVIDENCE, np.round(said, DECIMALS).T + 0.0, strict=True):
             columns[name][rows] = values

@@ -212,6 +212,16 @@ def test_the_status_frame_says_the_verdict(tmp_path):
     assert verdicts(with_verdict(scenario, network, heard)) == {Verdict.FORCE_LOST}
 
 
+@pytest.mark.parametrize("survives", ["false", "true"])
+def test_after_a_restart_the_law_says_the_verdict_of_the_status_frame_again(survives):
+    restart = ["kind=controller-restarted", "at_s=9.9", "for_s=0.5", f"state_survives={survives}"]
+    scenario = load("default", ["duration_s=12", *(f"fault.1.{key}" for key in restart)])
+    signals = signals_without_log(scenario)
+    again = with_verdict(scenario, network_of(scenario), replace(signals, verdict=None))
+    heard = np.isfinite(signals.verdict)
+    np.testing.assert_array_equal(again.whose_fault[VERDICT][heard], signals.verdict[heard])
+
+
 def test_evidence_without_noise_is_finite():
     """At rest and without noise every tick of a bias is beyond doubt; run.json has no infinity."""
     rest = ["reference.amplitude_mps2=0", "plant.sensor.noise_mps2=0", "duration_s=2"]
