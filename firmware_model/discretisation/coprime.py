@@ -19,7 +19,7 @@ from firmware_model.design.mismatch import Channels
 from firmware_model.design.zpk import Roots, ZeroPoleGain
 from firmware_model.discretisation.rules import Rule
 from firmware_model.discretisation.sections import Sections, from_delta_zpk
-from firmware_model.discretisation.tustin import DELTA_ROOTS
+from firmware_model.discretisation.tustin import RULES
 
 UNITY = np.zeros((0, 5))
 """The coefficients of no section: what goes in comes out."""
@@ -76,7 +76,7 @@ def _over(
     outside = _sampled(_rightmost(channels[0], len(images)), rule, tick_s)
     numerators = []
     for g in channels:
-        zeros, poles, own = DELTA_ROOTS[rule](g, tick_s)
+        zeros, poles, own = RULES[rule](g, tick_s)
         moved = _sampled(_rightmost(g, len(images)), rule, tick_s)
         inside = dict(zip(moved, images, strict=True))
         kept = [inside.get(pole, pole) for pole in poles]
@@ -96,7 +96,7 @@ def _sampled(poles: Roots, rule: Rule, tick_s: float) -> list[complex]:
     """``poles`` in δ."""
     if not poles:
         return []
-    _, sampled, _ = DELTA_ROOTS[rule](ZeroPoleGain((), poles, 1.0), tick_s)
+    _, sampled, _ = RULES[rule](ZeroPoleGain((), poles, 1.0), tick_s)
     return sampled
 
 

@@ -28,7 +28,7 @@ from firmware_model.discretisation.systems import (
     continuous,
     zero_pole_gain,
 )
-from firmware_model.discretisation.tustin import RULES, tustin
+from firmware_model.discretisation.tustin import RULES, by_rule, tustin
 from firmware_model.errors import ParameterError
 from firmware_model.law.core import biquad
 from firmware_model.law.structs import MAX_SECTIONS, FloatArray, Precision, Records, zeroed
@@ -568,7 +568,10 @@ def discretise(
             "what the controller's layout holds; split it into filters in series"
         )
     tick_s = float(tick_s)
-    sections = tustin(g, tick_s, prewarp_rad_per_s) if rule == "tustin" else RULES[rule](g, tick_s)
+    if prewarp_rad_per_s is None:
+        sections = by_rule(rule, g, tick_s)
+    else:
+        sections = tustin(g, tick_s, prewarp_rad_per_s)
     return Filter(_spread(sections), rule, prewarp_rad_per_s, precision)
 
 

@@ -23,7 +23,7 @@ from firmware_model.discretisation.paired import paired_alike, turn
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
-from firmware_model.discretisation.tustin import DELTA_ROOTS, DeltaRoots, bilinear
+from firmware_model.discretisation.tustin import RULES, DeltaRoots, bilinear
 from firmware_model.errors import DesignError, ParameterError, UnstablePlantError
 from firmware_model.law.core import biquad
 from firmware_model.law.layout import Table
@@ -100,7 +100,7 @@ def _filters(designs: Sequence[AtSpeed]) -> dict[Path, list[Sections]]:
     """By its place in the schedule, the sections of each speed."""
     first = designs[0]
     tick_s, prewarp = first.target.tick_s, first.target.prewarp_rad_per_s
-    sampled = DELTA_ROOTS[first.target.estimator]
+    sampled = RULES[first.target.estimator]
     one, nothing = ZeroPoleGain.constant(1.0), ZeroPoleGain.constant(0.0)
 
     def tracking(design: ContinuousDesign) -> ZeroPoleGain:

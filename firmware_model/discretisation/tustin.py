@@ -46,21 +46,8 @@ def tustin(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None = Non
     return from_delta_zpk(*bilinear(g, tick_s, prewarp_rad_per_s), tick_s)
 
 
-def tustin_held(g: ZeroPoleGain, tick_s: float) -> Sections:
-    """Crank-Nicolson integration of ``g`` with one input value an interval.
-
-    Raises:
-        ImproperError: ``g`` has feedthrough, or more zeros than poles.
-        ParameterError: as ``tustin``.
-    """
-    return from_delta_zpk(*_held_bilinear(g, tick_s), tick_s)
-
-
-@lru_cache(maxsize=64)
 def zoh(g: ZeroPoleGain, tick_s: float) -> Sections:
     """The exact discretisation of ``g`` for an input held over each tick.
-
-    A cache keeps the result: tables with different frames, limits or noise share filters.
 
     Poles are e^{pT}. Zeros and gain come from the sampled state space: the gain from the
     feedthrough, or without feedthrough from the middle of the filter's band.
@@ -69,18 +56,21 @@ def zoh(g: ZeroPoleGain, tick_s: float) -> Sections:
         ImproperError: ``g`` has more zeros than poles.
         ParameterError: a tick out of range.
     """
-    return from_delta_zpk(*_held_exactly(g, tick_s), tick_s)
+    return by_rule("zoh", g, tick_s)
 
 
-RULES: Final[Mapping[Rule, Callable[[ZeroPoleGain, float], Sections]]] = {
-    "tustin": tustin,
-    "tustin-held": tustin_held,
-    "zoh": zoh,
-}
+def by_rule(rule: Rule, g: ZeroPoleGain, tick_s: float) -> Sections:
+    """``g`` by ``rule``, its roots in δ paired into sections; raises what the rule raises."""
+    return from_delta_zpk(*RULES[rule](g, tick_s), tick_s)
 
 
 def _held_bilinear(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
-    """``tustin_held`` as zeros, poles and gain in δ."""
+    """Crank-Nicolson integration of ``g`` with one input value an interval.
+
+    Raises:
+        ImproperError: ``g`` has feedthrough, or more zeros than poles.
+        ParameterError: as ``tustin``.
+    """
     _check_tick(tick_s)
     if g.gain == 0.0:
         return [], [], 0.0
@@ -171,9 +161,9 @@ def _expm1(x: complex) -> complex:
     return 2.0 * half * cmath.sinh(x / 2.0)
 
 
-DELTA_ROOTS: Final[Mapping[Rule, Callable[[ZeroPoleGain, float], DeltaRoots]]] = {
+RULES: Final[Mapping[Rule, Callable[[ZeroPoleGain, float], DeltaRoots]]] = {
     "tustin": lambda g, tick_s: bilinear(g, tick_s, None),
     "tustin-held": _held_bilinear,
     "zoh": _held_exactly,
 }
-"""``RULES`` before roots are paired into sections."""
+"""Zeros, poles and gain in δ by each rule."""

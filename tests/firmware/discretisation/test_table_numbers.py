@@ -12,7 +12,7 @@ from firmware_model.discretisation import tables
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
-from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
+from firmware_model.discretisation.tustin import by_rule
 from firmware_model.discretisation.whitening import whitening
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.law.structs import MAX_SECTIONS
@@ -78,9 +78,7 @@ def test_other_cars_are_those_of_the_box_by_the_rule_of_the_estimator(rule):
     assert table.mismatch.n == 2 + 3 + 1  # of a loss, the cars, the remainder
     for car, (g1, g2) in zip(cars[:3], OTHERS.cars, strict=True):
         for stored, channel in ((car.channel_1, g1), (car.channel_2, g2)):
-            sections = {"zoh": zoh, "tustin": tustin, "tustin-held": tustin_held}[rule](
-                channel, 1e-3
-            )
+            sections = by_rule(rule, channel, 1e-3)
             n = len(sections.coefficients)
             assert stored.n == n
             np.testing.assert_array_equal(stored.coefficients[:n], sections.coefficients)

@@ -12,7 +12,7 @@ from firmware_model.analysis.simulation import simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
-from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
+from firmware_model.discretisation.tustin import by_rule, tustin, zoh
 from firmware_model.firmware import Firmware
 from firmware_model.law.structs import FloatArray
 from tests.firmware.law.cases import CAR, TICK_S
@@ -34,9 +34,8 @@ def impulse_response(of: Target, ticks: int) -> FloatArray:
 def test_it_is_q_over_one_less_q_times_the_delayed_model(latency, rule):
     """C = Q/(1 - Q G1 z^-n) by impulse responses: c = q + (q * g, n later) * c."""
     ticks, impulse = 60, np.eye(1, 60)[0]
-    discretised = {"zoh": zoh, "tustin": tustin, "tustin-held": tustin_held}[rule](CAR.g1, TICK_S)
     q = signal.sosfilt(tustin(DESIGN.tracking.filter, TICK_S).sos, impulse)
-    g = signal.sosfilt(discretised.sos, impulse)
+    g = signal.sosfilt(by_rule(rule, CAR.g1, TICK_S).sos, impulse)
     loop = np.concatenate([np.zeros(latency), np.convolve(q, g)])[:ticks]
     around = linalg.toeplitz(loop, np.zeros(ticks))
     expected = linalg.solve_triangular(np.eye(ticks) - around, q, lower=True)
