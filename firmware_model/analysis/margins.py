@@ -25,11 +25,11 @@ from firmware_model.analysis.sampled_loop import (
     LinearController,
     SampledLoop,
     linear_controller,
-    reaching,
     sampled_loop,
 )
 from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.plants import Plant
+from firmware_model.discretisation.sections import energy_of, reaching
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError
@@ -282,19 +282,12 @@ def noise_gain(loop: SampledLoop, answer: int) -> float:
     loop = loop.lumped
     closed, h = loop.closed(), loop.h[answer] + loop.d[answer, 0] * loop.c
     heard = reaching(closed, h)
-    power, scaling = linalg.matrix_balance(closed[np.ix_(heard, heard)], permute=False)
-    if (np.abs(np.linalg.eigvals(power)) > 1.0 - OPEN_INTEGRATOR).any():
+    balanced, scaling = linalg.matrix_balance(closed[np.ix_(heard, heard)], permute=False)
+    if (np.abs(np.linalg.eigvals(balanced)) > 1.0 - OPEN_INTEGRATOR).any():
         return math.inf
     scale = np.diag(scaling)
     noise, h = loop.b[heard, 0] / scale, h[heard] * scale
-    covariance = np.outer(noise, noise)
-    before = np.zeros_like(covariance)
-    while not np.array_equal(
-        covariance, before, equal_nan=True
-    ):  # until the rest is below rounding
-        before = covariance
-        covariance = covariance + power @ covariance @ power.T
-        power = power @ power
+    covariance = energy_of(balanced.T, noise)
     return math.sqrt(float(h @ covariance @ h) + float(loop.d[answer, 0]) ** 2)
 
 

@@ -35,7 +35,7 @@ from scipy import linalg
 
 from firmware_model.analysis.sampled_plant import held, split_ticks
 from firmware_model.design.plants import Plant
-from firmware_model.discretisation.sections import ComplexArray
+from firmware_model.discretisation.sections import ComplexArray, reaching
 from firmware_model.errors import ParameterError
 from firmware_model.law import controller
 from firmware_model.law.layout import State, Table
@@ -278,16 +278,6 @@ def sampled_loop(
     c = np.zeros(size)
     c[x] = plant.c[0]
     return SampledLoop(a, b, c, h, law.d, tick_s)
-
-
-def reaching(a: FloatArray, row: FloatArray) -> NDArray[np.bool_]:
-    """Which states (n,) reach ``row`` ξ by a path of non-zeros of ``a``."""
-    reaches, steps = np.asarray(row != 0.0, dtype=np.bool_), a != 0.0
-    while True:
-        wider = reaches | (reaches @ steps)
-        if (wider == reaches).all():
-            return reaches
-        reaches = wider
 
 
 def field_of(states: Records[State], path: tuple[str, ...]) -> Any:

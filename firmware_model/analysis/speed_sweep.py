@@ -22,15 +22,10 @@ import numpy as np
 from scipy import linalg
 
 from firmware_model.analysis.margins import HEALTHY, law_in
-from firmware_model.analysis.sampled_loop import (
-    SampledLoop,
-    field_of,
-    memories_of,
-    reaching,
-    sampled_loop,
-)
+from firmware_model.analysis.sampled_loop import SampledLoop, field_of, memories_of, sampled_loop
 from firmware_model.design.plants import Plant
 from firmware_model.discretisation.schedules import Scheduled
+from firmware_model.discretisation.sections import reaching
 from firmware_model.law import controller
 from firmware_model.law.layout import Table, precision_of
 from firmware_model.law.schedule import State, change_first_speed

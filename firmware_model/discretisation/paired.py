@@ -19,7 +19,13 @@ import numpy as np
 
 from firmware_model.design.plants import Plant
 from firmware_model.discretisation.rules import Rule
-from firmware_model.discretisation.sections import ComplexArray, Sections, realisation, section
+from firmware_model.discretisation.sections import (
+    ComplexArray,
+    Sections,
+    reaching,
+    realisation,
+    section,
+)
 from firmware_model.discretisation.tustin import DeltaRoots
 from firmware_model.errors import DesignError, ImproperError, ParameterError
 from firmware_model.law.schedule import SIZE
@@ -162,7 +168,7 @@ def coordinates(plant: Plant, sections: Sections, channel: int, rule: Rule) -> F
         DesignError: as ``turn``.
     """
     a, _, c, _, reached = realisation(sections)
-    own = _reached(plant.a, plant.b[:, channel])
+    own = np.flatnonzero(reaching(plant.a.T, plant.b[:, channel]))
     if len(own) != len(reached):
         raise DesignError(
             f"{plant.name}: channel {channel + 1} has {len(own)} states and {len(reached)} after "
@@ -184,13 +190,3 @@ def coordinates(plant: Plant, sections: Sections, channel: int, rule: Rule) -> F
     shown = (plant.c[0][own] @ modes) / (c @ sampled)
     turned: FloatArray = (sampled * shown @ np.linalg.inv(modes)).real
     return turned
-
-
-def _reached(a: FloatArray, b: FloatArray) -> list[int]:
-    """The states that an input drives, by a path of non-zeros."""
-    found = b != 0.0
-    while True:
-        wider = found | (a[:, found] != 0.0).any(axis=1)
-        if (wider == found).all():
-            return [int(i) for i in np.flatnonzero(found)]
-        found = wider

@@ -160,6 +160,16 @@ def energy_of(a: FloatArray, c: FloatArray) -> FloatArray:
     raise DesignError("a pole is too close to 0 rad/s for double precision: must be 0 or faster")
 
 
+def reaching(a: FloatArray, row: FloatArray) -> NDArray[np.bool_]:
+    """Which states (n,) reach ``row`` ξ by a path of non-zeros of ``a``."""
+    reaches, steps = np.asarray(row != 0.0, dtype=np.bool_), a != 0.0
+    while True:
+        wider = reaches | (reaches @ steps)
+        if (wider == reaches).all():
+            return reaches
+        reaches = wider
+
+
 def realisation(sections: Sections) -> tuple[FloatArray, FloatArray, FloatArray, float, list[int]]:
     """A, B, c, d of the cascade over the accumulators of ``biquad`` that ever leave zero."""
     size = 2 * len(sections.coefficients)
