@@ -11,8 +11,8 @@ import math
 import re
 import textwrap
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from string import Template
+from types import SimpleNamespace
 from typing import Final, cast
 
 import numpy as np
@@ -22,12 +22,7 @@ from firmware_model.compiled import compiled
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.rules import Rule
 from firmware_model.discretisation.sections import ComplexArray, Sections, from_delta_zpk
-from firmware_model.discretisation.systems import (
-    Polynomials,
-    StateSpace,
-    continuous,
-    zero_pole_gain,
-)
+from firmware_model.discretisation.systems import Polynomials, StateSpace, zero_pole_gain
 from firmware_model.discretisation.tustin import RULES, by_rule, tustin
 from firmware_model.errors import ParameterError
 from firmware_model.law.core import biquad
@@ -362,8 +357,9 @@ class Filter:
             ImproperError: more zeros than poles.
         """
         _require_precision(precision)
-        given = continuous(_Roots(np.atleast_1d(zeros), np.atleast_1d(poles), gain))
-        return _of_roots(cast(ZeroPoleGain, given), tick_s, precision, given)
+        roots = SimpleNamespace(zeros=np.atleast_1d(zeros), poles=np.atleast_1d(poles), gain=gain)
+        given = zero_pole_gain(roots)
+        return _of_roots(given, tick_s, precision, given)
 
     @classmethod
     def from_state_space(
@@ -573,15 +569,6 @@ def discretise(
     else:
         sections = tustin(g, tick_s, prewarp_rad_per_s)
     return Filter(_spread(sections), rule, prewarp_rad_per_s, precision)
-
-
-@dataclass(frozen=True)
-class _Roots:
-    """Roots in z in the form that ``continuous`` reads."""
-
-    zeros: ComplexArray
-    poles: ComplexArray
-    gain: float
 
 
 def _numbers(name: str, values: ArrayLike, precision: Precision) -> FloatArray:
