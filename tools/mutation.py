@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import gc
 import importlib.util
-import json
 import math
 import os
 import re
@@ -25,7 +24,6 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatch
@@ -392,25 +390,10 @@ class _InMemory(SourceFileLoader):
         return importlib.util.spec_from_loader(name, self) if name == self.name else None
 
 
-def with_fresh_imports(tests: str, longest_s: float, module: str, source: str) -> str:
-    """The folder of tests that notices a module's text in a process with fresh imports, or ""."""
-    job = json.dumps([module, source, tests])
-    command = [sys.executable, __file__, "--one"]
-    try:
-        done = subprocess.run(
-            command, input=job, cwd=TREE, capture_output=True, text=True, check=False,
-            timeout=longest_s, start_new_session=True,
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        return TIMEOUT
-    return f"{tests}, imported anew, fails" if done.returncode else ""
-
-
-def one_with_fresh_imports() -> int:
-    """Run the tests on the mutant that standard input describes."""
-    module, source, tests = json.loads(sys.stdin.read())
-    sys.meta_path.insert(0, _InMemory(module, source))
-    return int(pytest.main([*OPTIONS, "-x", tests]))
+def with_fresh_imports(tests: str, job: tuple[str, str]) -> str:
+    """The folder of tests that notices a module's text, or "", in a child without the product."""
+    sys.meta_path.insert(0, _InMemory(*job))
+    return f"{tests}, imported anew, fails" if pytest.main([*OPTIONS, "-x", tests]) else ""
 
 
 def copy_tree() -> None:
@@ -476,13 +459,15 @@ def killers(tests: str, batch: Sequence[Site], asked: argparse.Namespace) -> dic
         else:
             keep(batch[answer[0]], answer[1])
     longest_s = WAITS_S + 10 * (time.monotonic() - begun_s)
-    tried = partial(with_fresh_imports, tests, longest_s)
-    with ThreadPoolExecutor(asked.workers) as pool:
-        answers = pool.map(lambda site: tried(site.module, site.mutant.source), anew)
-        for site, killer in zip(anew, answers, strict=True):
-            keep(site, killer)
-    if anew and (failed := tried(anew[0].module, (TREE / anew[0].module).read_text("utf-8"))):
-        sys.exit(f"error: {failed} on the unchanged code")
+    work = partial(with_fresh_imports, tests)
+    jobs = {at: (site.module, site.mutant.source) for at, site in enumerate(anew)}
+    for at, killer in in_children(work, jobs, asked.workers, longest_s):
+        keep(anew[at], TIMEOUT if killer is None else killer)
+    if anew:
+        unchanged = anew[0].module, (TREE / anew[0].module).read_text("utf-8")
+        failed = _one(partial(work, unchanged))
+        if failed != "":
+            sys.exit(f"error: {failed} on the unchanged code")
     return found
 
 
@@ -505,8 +490,6 @@ def report(found: Mapping[Site, str]) -> bool:
 
 def main() -> int:
     """Run the mutants; 1 if a mutant survived."""
-    if sys.argv[1:] == ["--one"]:
-        return one_with_fresh_imports()
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
