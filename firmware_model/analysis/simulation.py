@@ -31,11 +31,11 @@ from firmware_model.analysis.loop import (
     ROWS,
     carry,
     measure,
+    run_changing,
     run_ticks,
     tick,
 )
 from firmware_model.analysis.sampled_plant import AnyPlant, SampledPlant, follow
-from firmware_model.analysis.world_loop import run_changing
 from firmware_model.law import controller as law
 from firmware_model.law.layout import State, Table, precision_of, table_type
 from firmware_model.law.schedule import Constants, State as BlendState, change_first_speed
@@ -86,7 +86,7 @@ class LoopPlant(AnyPlant, Protocol):
     ) -> tuple[float, float]:
         """Advance loop and plant from the loop's tick ``begin`` to ``end``.
 
-        ``loop`` is ``world_loop.run_changing`` with the first argument given;
+        ``loop`` is ``loop.run_changing`` with the first argument given;
         ``output`` and the result are those of ``follow``.
         """
 
