@@ -32,7 +32,7 @@ from can_rig.controllers.our_law import PYTHON
 from can_rig.decoding.decode import decode_log
 from can_rig.frames.databases import load_database, shipped_dbc
 from can_rig.logs.formats.candump import candump_lines
-from can_rig.logs.frames import CLASSIC_BYTES, EXTENDED, FD, FD_BYTES, Frames, concatenate
+from can_rig.logs.frames import CLASSIC_BYTES, concatenate
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
 from can_rig.nodes.bus_access import StopRequest
@@ -64,24 +64,13 @@ def random_log(folder: Path, frames: int, database: Database) -> Path:
     if not chosen:
         raise SystemExit("cantools reads no frame of this database")
     turn = [(message, made[k % len(made)]) for k in range(PAYLOADS) for message, made in chosen]
-    turn *= -(-frames // len(turn))
-    width = FD_BYTES if any(len(data) > CLASSIC_BYTES for _, data in turn) else CLASSIC_BYTES
-    flags = [
-        EXTENDED * message.is_extended_frame | FD * (len(data) > CLASSIC_BYTES)
-        for message, data in turn
-    ]
-    log = Frames(
-        time_ns=np.arange(len(turn)) * 100_000,
-        arbitration_id=np.array([message.frame_id for message, _ in turn], np.uint32),
-        flags=np.array(flags, np.uint8),
-        channel=np.zeros(len(turn), np.uint8),
-        length=np.array([len(data) for _, data in turn], np.uint8),
-        data=np.array([list(data.ljust(width, b"\0")) for _, data in turn], np.uint8),
-        channels=("can0",),
-    )
     path = folder / "bench.log"
-    with path.open("w", encoding="ascii") as file:
-        file.writelines(candump_lines(log))
+    with can.Logger(path) as log:
+        for number, (message, data) in enumerate(turn * -(-frames // len(turn))):
+            log(can.Message(
+                timestamp=1e-4 * number, arbitration_id=message.frame_id, data=data,
+                is_extended_id=message.is_extended_frame, is_fd=len(data) > CLASSIC_BYTES,
+            ))  # fmt: skip
     return path
 
 
