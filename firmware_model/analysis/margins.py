@@ -143,14 +143,14 @@ class Margins:
     spectral_radius: float
     slowest_rad_per_s: float
     slowest_damping: float
-    delay_margin_ticks: int | None
-    delay_margin_s: float | None
-    gain_margin: float
-    gain_reduction_margin: float
-    peak_sensitivity: float
-    peak_sensitivity_rad_per_s: float
-    noise_to_command_1: float
-    noise_to_command_2: float
+    delay_margin_ticks: int | None = None
+    delay_margin_s: float | None = None
+    gain_margin: float = math.nan
+    gain_reduction_margin: float = math.nan
+    peak_sensitivity: float = math.nan
+    peak_sensitivity_rad_per_s: float = math.nan
+    noise_to_command_1: float = math.inf
+    noise_to_command_2: float = math.inf
 
     @property
     def stable(self) -> bool:
@@ -186,14 +186,6 @@ def margins_of(
         spectral_radius=abs(slowest),
         slowest_rad_per_s=abs(exponent),
         slowest_damping=-math.cos(cmath.phase(exponent)),
-        delay_margin_ticks=None,
-        delay_margin_s=None,
-        gain_margin=math.nan,
-        gain_reduction_margin=math.nan,
-        peak_sensitivity=math.nan,
-        peak_sensitivity_rad_per_s=math.nan,
-        noise_to_command_1=math.inf,
-        noise_to_command_2=math.inf,
     )
     if not figures.stable:
         return figures
