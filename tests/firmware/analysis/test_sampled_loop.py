@@ -8,35 +8,27 @@ import pytest
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from firmware_model.analysis.sampled_loop import SampledLoop, linear_controller, sampled_loop
+from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD
+from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
-from firmware_model.design.plants import Plant, chapter_2, steer_by_wire
+from firmware_model.design.plants import Plant, chapter_2
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import ParameterError
+from tests.firmware.analysis.loops import CAR, PUBLISHED, SLOW, loop_of
 from tests.firmware.law.cases import changed
 
 pytestmark = pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
 
-CAR = steer_by_wire()
-HEALTHY, DEAD = (1.0, 1.0), (0.0, 1.0)
-SLOW = design(CAR, DesignSpecification(tau_s=0.01, tau_q_s=0.02))
-PUBLISHED = design(CAR, DesignSpecification())
 OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
 SHAPED = design(
     CAR, DesignSpecification(tau_s=0.01, tau_q_s=0.02, q=ZeroPoleGain((0.0,), (-20.0,), -1.0))
 )
 Matrices = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]
-
-
-def loop_of(
-    table: Any, plant: Plant, tick_s: float, left: tuple[float, float] = HEALTHY, late: float = 0
-) -> SampledLoop:
-    return sampled_loop(linear_controller(table), plant, tick_s, left, late)
 
 
 def cascade(sections: Sections) -> Matrices:
@@ -101,14 +93,14 @@ def by_hand(
     return np.linalg.eigvals(a + b @ k @ np.linalg.solve(np.eye(10) - d @ k, c))
 
 
-@pytest.mark.parametrize(("left", "extra"), [(HEALTHY, 2), (DEAD, 0), ((0.5, 1.0), 2)])
+@pytest.mark.parametrize(("left", "extra"), [(HEALTHY, 2), (TORQUE_DEAD, 0), ((0.5, 1.0), 2)])
 @pytest.mark.parametrize(
     ("latency", "rule"), [(0, "tustin"), (0, "zoh"), (1, "tustin-held"), (3, "zoh")]
 )
 @pytest.mark.parametrize("designed", [PUBLISHED, SLOW, SHAPED, OPEN_LOOP])
 def test_poles_are_those_of_the_block_diagram(designed, latency, rule, left, extra):
     target = Target(1e-3, latency, rule)
-    loop = loop_of(build(designed, target), designed.plant, 1e-3, left, extra)
+    loop = loop_of(designed, target, left, extra)
     expected = by_hand(designed, target, designed.plant, left, extra)
     assert loop.spectral_radius() == pytest.approx(np.abs(expected).max(), rel=1e-8)
     # Poles far from zero match in pairs; poles of unheard delays are zero to a root of eps.
@@ -134,7 +126,7 @@ def test_many_ticks_of_the_matrix_are_the_simulation(designed, latency, rule, le
         effectiveness=np.tile(left, (ticks, 1)),
         noise=noise,
     )
-    loop = loop_of(table, designed.plant, 1e-3, left)
+    loop = sampled_loop(linear_controller(table), designed.plant, 1e-3, left)
     xi, rows = np.zeros(len(loop.a)), []
     for r, v in zip(reference, noise, strict=True):
         y = loop.c @ xi
@@ -174,15 +166,15 @@ def test_memories_that_nothing_excites_are_left_out():
     """C: 4, F1: 4 and 4, F̂: 4 of the car (G2's 3 zeros, q), 1 + Q: none; no eigenvalue at 1."""
     law = linear_controller(build(SLOW, Target(1e-3, 2)))
     assert len(law.a) == 4 + 4 + 4 + SLOW.compensator.order + 2 * 2  # type: ignore[union-attr]
-    loop = loop_of(build(SLOW, Target(1e-3, 2)), CAR, 1e-3)
+    loop = loop_of(SLOW, Target(1e-3, 2))
     assert np.abs(np.linalg.eigvals(loop.closed()) - 1.0).min() > 1e-4
 
 
 def test_integrator_that_the_dead_channel_leaves_open_is_no_pole_of_the_loop():
     """C's own without compensation, d̂'s own when the force difference is lost; both harmless."""
     bare = design(CAR, DesignSpecification(compensation=False))
-    for designed, left in ((bare, DEAD), (SLOW, (1.0, 0.0))):
-        loop = loop_of(build(designed, Target(1e-3, 1, "zoh")), CAR, 1e-3, left)
+    for designed, left in ((bare, TORQUE_DEAD), (SLOW, (1.0, 0.0))):
+        loop = loop_of(designed, Target(1e-3, 1, "zoh"), left)
         everything = np.linalg.eigvals(loop.lumped.closed())
         assert (np.abs(everything - 1.0) < 1e-7).sum() == 1
         assert len(loop.poles()) == len(everything) - 1
@@ -192,7 +184,7 @@ def test_integrator_that_the_dead_channel_leaves_open_is_no_pole_of_the_loop():
 def test_a_loop_that_only_the_controller_sees_still_counts():
     """Force difference dead: the plant hears nothing of d̂ → u2 → d̂, whose poles must be stable."""
     fast = design(CAR, DesignSpecification(tau_s=1e-4, tau_q_s=0.02))
-    loop = loop_of(build(fast, Target(1e-3, 1, "zoh")), CAR, 1e-3, (1.0, 0.0))
+    loop = loop_of(fast, Target(1e-3, 1, "zoh"), (1.0, 0.0))
     assert loop.spectral_radius() > 1.5
 
 

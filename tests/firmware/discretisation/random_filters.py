@@ -80,7 +80,8 @@ def zoh_exactly(g: ZeroPoleGain, rad_per_s: np.ndarray, tick_s: float) -> np.nda
             for j, other in enumerate(poles):
                 residue = residue / (pole - other) if j != i else residue
             power = mpmath.exp(pole * mpmath.mpf(tick_s))
-            parts.append((residue / pole * (power - 1), power))
+            held = (power - 1) / pole if pole else mpmath.mpf(tick_s)
+            parts.append((residue * held, power))
         return np.array(
             [
                 complex(through + sum(top / (mpmath.expj(angle) - power) for top, power in parts))
