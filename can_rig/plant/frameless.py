@@ -5,7 +5,8 @@ times faster.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,25 +21,26 @@ from can_rig.plant.behind import PlantBehind
 from can_rig.plant.changing_car import linear_plant, plant_of
 from can_rig.plant.faults.frame_faults import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
-from can_rig.plant.sensor import noise
+from can_rig.plant.sensor import NoiseColumns
 from can_rig.plant.witnesses import PlantRead, Sensed, frame_row
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
 from can_rig.scenario.driving import speeds_at_ticks
-from can_rig.scenario.fault_settings import PLACES, RESTARTED
+from can_rig.scenario.fault_settings import PLACES
 from can_rig.scenario.reference import reference
-from can_rig.scenario.remembered import remembered, state_of_file
+from can_rig.scenario.remembered import state_of_file
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED
+from firmware_model.analysis.hardware import BY, HEALTHY, REPLACED
 from firmware_model.analysis.read_off import NotLinearError, read_off
 from firmware_model.analysis.sampled_loop import LinearController
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import LoopPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law import controller
-from firmware_model.law.layout import State
-from firmware_model.law.structs import FloatArray, Records
+from firmware_model.law.structs import BoolArray, FloatArray
 from firmware_model.law.supervision.takeover import UNKNOWN
+
+Values = TypeVar("Values", FloatArray, BoolArray)
 
 
 @dataclass(frozen=True)
@@ -55,37 +57,6 @@ class Inputs:
     """Speed of the car; None: no drive."""
 
 
-@dataclass(frozen=True)
-class Common:
-    """The common parts of runs that differ only in faults and sensor noise.
-
-    Attributes:
-        undisturbed: the common scenario, without faults and noise.
-        network: their frames.
-        of: the rig's own law; None: a controller of another kind.
-        at_rest: the controller's state after power-up.
-        plant: the linear plant; None: each run makes a plant object.
-        quiet: the inputs without faults and sensor noise.
-    """
-
-    undisturbed: Scenario
-    network: Network
-    of: Scheduled | None
-    at_rest: Records[State] | None
-    plant: SampledPlant | None
-    quiet: Inputs
-
-    def inputs_of(self, scenario: Scenario) -> Inputs:
-        """The inputs of one run."""
-        return with_disturbances(self.quiet, scenario, self.network)
-
-    def loop(
-        self, scenario: Scenario, inputs: Inputs, plant: SampledPlant | PlantRead
-    ) -> Simulation:
-        """One run's loop, at rest."""
-        return simulation(scenario, self.network, plant, self.of, inputs, at_rest=self.at_rest)
-
-
 def with_files(scenario: Scenario) -> Iterator[object]:
     """The sources of a run: its scenario, and the states of the files named there."""
     yield scenario
@@ -93,54 +64,62 @@ def with_files(scenario: Scenario) -> Iterator[object]:
         yield from state_of_file(file)
 
 
-@remembered(4, by=lambda scenario: with_files(scenario.undisturbed))
-def common(scenario: Scenario) -> Common:
-    """The common part of ``scenario`` and all scenarios with an equal ``undisturbed`` scenario.
+class Outside:
+    """What happens to the loop of a scenario from outside, independent of its car."""
 
-    Raises:
-        ScenarioError: as ``frameless``.
-    """
-    undisturbed = scenario.undisturbed
-    network = network_of(undisturbed)
-    of = law_of(scenario, network)  # a refusal may name the noise
-    quiet = inputs_of(undisturbed, network)
-    at_rest = None if of is None else powered_up(of)
-    return Common(undisturbed, network, of, at_rest, linear_plant(undisturbed), quiet)
+    def __init__(self, scenario: Scenario, network: Network) -> None:
+        self._network = network
+        self._reference = reference(scenario)
+        self._speed = None if network.speed is None else speeds_at_ticks(scenario)
+        self._delivery = delivery(scenario, network)
+        self._faults = PlantFaults(scenario)
+
+    @property
+    def latest_ticks(self) -> int:
+        """See ``PlantFaults``."""
+        return self._faults.latest_ticks
+
+    def during(self, window: range, noise: FloatArray) -> Inputs:
+        """The inputs of some ticks with their ``noise``; after its end, a run goes on as it was."""
+        delivered = self._delivered(window)
+        speed = None
+        if self._speed is not None and self._network.speed is not None:
+            speed = quantised(self._network.speed, _part(self._speed, window))
+        return Inputs(
+            reference=quantised(self._network.reference, _part(self._reference, window)),
+            effectiveness=self._faults.left(window),
+            noise=noise,
+            bias=self._faults.bias(window),
+            delivery=delivered,
+            faults=_with_replaced(self._faults.rows(window), delivered, len(window)),
+            speed=speed,
+        )
+
+    def _delivered(self, window: range) -> Delivery:
+        of_run = self._delivery
+        at = of_run.damage[:, 0]
+        damage = of_run.damage[(at >= window.start) & (at < window.stop)]
+        damage[:, 0] -= window.start
+        replaced = {
+            (tick - window.start, place): value
+            for (tick, place), value in of_run.replaced.items()
+            if tick in window
+        }
+        sent, used, status = (
+            _part(column, window) for column in (of_run.sent, of_run.used, of_run.status)
+        )
+        return Delivery(sent, used, status, damage, replaced, of_run.rejected)
 
 
-def inputs_of(scenario: Scenario, network: Network) -> Inputs:
-    """The inputs of ``scenario``, independent of its car."""
-    ticks = scenario.ticks
-    quiet = Inputs(
-        reference=quantised(network.reference, reference(scenario)),
-        effectiveness=np.ones((ticks, 2)),
-        noise=np.zeros(ticks),
-        bias=np.zeros(ticks),
-        delivery=delivery(scenario.healthy, network),
-        faults=NO_FAULTS,
-        speed=quantised(network.speed, speeds_at_ticks(scenario)) if network.speed else None,
-    )
-    return with_disturbances(quiet, scenario, network)
+def _part(values: Values, window: range) -> Values:
+    """The rows of a window, which may go on behind the last one."""
+    part = values[window.start : window.stop].copy()
+    if len(part) < len(window):
+        part = np.concatenate([part, np.repeat(part[-1:], len(window) - len(part), axis=0)])
+    return part
 
 
-def with_disturbances(quiet: Inputs, scenario: Scenario, network: Network) -> Inputs:
-    """``quiet`` inputs with the faults and the noise of ``scenario``."""
-    if not scenario.faults:
-        return replace(quiet, noise=noise(scenario))
-    plant, ticks = PlantFaults(scenario), range(scenario.ticks)
-    on_frames = any(fault.acts_on_frames or fault.kind == RESTARTED for fault in scenario.faults)
-    delivered = delivery(scenario, network) if on_frames else quiet.delivery
-    return replace(
-        quiet,
-        effectiveness=plant.left(ticks),
-        noise=noise(scenario),
-        bias=plant.bias(ticks),
-        delivery=delivered,
-        faults=with_replaced(plant.rows(ticks), delivered, scenario.ticks),
-    )
-
-
-def with_replaced(rows: FloatArray, delivered: Delivery, ticks: int) -> FloatArray:
+def _with_replaced(rows: FloatArray, delivered: Delivery, ticks: int) -> FloatArray:
     """The rows of ``hardware`` with the values of other frames."""
     if not delivered.replaced:
         return rows
@@ -149,6 +128,13 @@ def with_replaced(rows: FloatArray, delivered: Delivery, ticks: int) -> FloatArr
     for (tick, place), value in delivered.replaced.items():
         rows[tick, place, REPLACED], rows[tick, place, BY] = 1.0, value
     return rows
+
+
+def inputs_of(scenario: Scenario, network: Network) -> Inputs:
+    """The inputs of a whole run of ``scenario``."""
+    ticks = scenario.ticks
+    noise = NoiseColumns.of(scenario).next(ticks)
+    return Outside(scenario, network).during(range(ticks), noise)
 
 
 def frameless(
@@ -210,13 +196,16 @@ def simulation(
     of: Scheduled | None,
     inputs: Inputs,
     keeps_states: bool = False,
-    at_rest: Records[State] | None = None,
 ) -> Simulation:
     """``scenario`` without a bus, at rest; for the arguments see ``frameless``, ``Simulation``."""
     hears = bool(scenario.heard) if of is not None else bool(network.witnesses)
     if hears and not isinstance(plant, Sensed):
         assert not isinstance(plant, SampledPlant)
         plant = Sensed(scenario, network, plant)
+    at_rest = None
+    if of is not None:
+        at_rest = controller.init(of.table)
+        at_rest["takeover"]["pending"] = UNKNOWN  # the plant may move already
     return Simulation(
         InLoop(scenario, plant) if of is None else of.table,
         plant,
@@ -236,17 +225,10 @@ def simulation(
             [frame_row(codec) for codec in (network.command_1, network.command_2, network.feedback)]
         ),
         keeps_states=keeps_states,
-        at_rest=powered_up(of) if at_rest is None and of is not None else at_rest,
+        at_rest=at_rest,
         hears=plant if of is not None and hears and isinstance(plant, Sensed) else None,
         restarts=[(each.start, each.stop, each.state_survives) for each in scenario.outages],
     )
-
-
-def powered_up(of: Scheduled) -> Records[State]:
-    """The state of a controller after power-up: the plant may move already."""
-    state = controller.init(of.table)
-    state["takeover"]["pending"] = UNKNOWN
-    return state
 
 
 def law_of(scenario: Scenario, network: Network | None) -> Scheduled | None:

@@ -9,8 +9,6 @@ from collections import deque
 
 import numpy as np
 
-from can_rig.scenario.plant_settings import SensorSettings
-from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import split_ticks
 from firmware_model.compiled import compiled
@@ -18,23 +16,8 @@ from firmware_model.design.actuator_dynamics import Stage
 from firmware_model.law.structs import FloatArray
 
 
-def noise(scenario: Scenario) -> FloatArray:
-    """(ticks,), the noise of every tick of a run, m/s².
-
-    Never change the array: the same run without its fault shares the array.
-    """
-    if scenario.plant.sensor.noise_mps2 == 0.0:
-        return np.zeros(scenario.ticks)
-    return _drawn(scenario.seed, scenario.plant.sensor, scenario.tick_s, scenario.ticks)
-
-
-@remembered(1)
-def _drawn(seed: int, sensor: SensorSettings, tick_s: float, ticks: int) -> FloatArray:
-    return NoiseColumns(seed, sensor.noise_mps2, sensor.lag_s, tick_s).next(ticks)
-
-
 class NoiseColumns:
-    """The noise of a sensor, some ticks at a time; see ``noise``.
+    """The noise of a sensor, some ticks at a time.
 
     White noise, or noise coloured by the sensor's filter: n(k) = p n(k-1) + √(1 - p²) w(k), p =
     e^{-T/τ}. The rms describes the coloured noise, from the first tick on.

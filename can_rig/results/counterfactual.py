@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from can_rig.errors import RigError
 from can_rig.logs.columns import APPLIED, TRUE_OUTPUT
 from can_rig.plant.actuators import Actuator
-from can_rig.plant.changing_car import plant_of
+from can_rig.plant.changing_car import linear_plant, plant_of
 from can_rig.plant.faults.plant_faults import DISTORTING, PlantFaults
-from can_rig.plant.frameless import common, until_it_fails, with_files
+from can_rig.plant.frameless import frameless_loop, inputs_of, law_of, simulation, with_files
 from can_rig.plant.in_windows import blocks_of
 from can_rig.results.signals import Signals, signals_of_trace
 from can_rig.scenario.build import network_of
@@ -114,9 +114,7 @@ def _long(scenario: Scenario) -> Counterfactual:
 @remembered(6, by=with_files)
 def loop_of(scenario: Scenario) -> Simulation:
     """A shared loop, advanced as far as any caller needs."""
-    shared = common(scenario)
-    plant = shared.plant or until_it_fails(plant_of(scenario))
-    return shared.loop(scenario, shared.inputs_of(scenario), plant)
+    return frameless_loop(scenario, network_of(scenario))
 
 
 def measured_in(scenario: Scenario, loop: Simulation) -> FloatArray:
@@ -213,15 +211,19 @@ def signals_without_log(scenario: Scenario) -> Signals:
     Raises:
         RigError: an impossible run, or an end before the last tick.
     """
-    refuse_saturation(scenario, network_of(scenario))
-    shared = common(scenario)
-    inputs = shared.inputs_of(scenario)
-    loop = shared.loop(scenario, inputs, shared.plant or plant_of(scenario))
-    compiled = shared.plant is not None and shared.of is not None
+    network = network_of(scenario)
+    refuse_saturation(scenario, network)
+    of, inputs, linear = (
+        law_of(scenario, network),
+        inputs_of(scenario, network),
+        linear_plant(scenario),
+    )
+    loop = simulation(scenario, network, linear or plant_of(scenario), of, inputs)
+    compiled = linear is not None and of is not None
     if compiled and scenario.faults and not len(inputs.faults):
         _begin_without_fault(loop, scenario)
     loop.run()
-    signals = signals_of_trace(loop.trace, inputs.delivery, loop.ticks, shared.network)
+    signals = signals_of_trace(loop.trace, inputs.delivery, loop.ticks, network)
     return replace(signals, plant={TRUE_OUTPUT: loop.trace.measurement})
 
 
@@ -233,9 +235,8 @@ def _begin_without_fault(loop: Simulation, scenario: Scenario) -> None:
     healthy = loop_of(scenario.healthy)
     first = min([loop.ticks, *(outage.start for outage in scenario.outages)])
     for own, its in zip(loop.inputs, healthy.inputs, strict=True):
-        if own is not its:
-            differs = np.flatnonzero((own != its).reshape(loop.ticks, -1).any(axis=1))
-            first = min([first, *differs[:1].tolist()])
+        differs = np.flatnonzero((own != its).reshape(loop.ticks, -1).any(axis=1))
+        first = min([first, *differs[:1].tolist()])
     if healthy.done <= first:
         healthy.run(first)
         loop.go_on_from(healthy)

@@ -52,6 +52,15 @@ def test_every_loop_has_the_same_bytes(tmp_path, precision):
     assert np.isnan(seen.dstar_mps2).all()
 
 
+def test_the_loop_without_frames_has_no_sensor_of_the_output_in_a_healthy_run_either(tmp_path):
+    scenario = made("fault={kind='none'}")
+    network = network_of(scenario)
+    seen = read_signals(logged(tmp_path, scenario, "none"), network, scenario.tick_s)
+    trace = frameless(scenario, network)
+    np.testing.assert_array_equal(seen.torque_nm, trace.command_1)
+    assert np.isnan(trace.measured).all()
+
+
 def test_what_the_pictures_show_is_what_the_frames_of_both_sensors_make(tmp_path):
     scenario, database = made(), cantools.database.load_file(DBC / "steer_by_wire.dbc")
     log, network = logged(tmp_path, scenario, "none"), network_of(scenario)

@@ -9,7 +9,7 @@ from can_rig.assessment.resolve import load
 from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.actuators import FollowedCommand
 from can_rig.plant.behind import LinearBehind, plant_behind
-from can_rig.plant.sensor import FilteredSamples, NoiseColumns, noise
+from can_rig.plant.sensor import FilteredSamples, NoiseColumns
 from can_rig.plant.simulated import SimulatedPlant
 from firmware_model.design.actuator_dynamics import Stage
 
@@ -121,7 +121,7 @@ def test_the_sensor_reads_in_steps_of_its_resolution():
 
 
 def test_noise_is_as_coloured_as_the_filter_and_has_its_rms_behind_it():
-    drawn = noise(settings(*NOISY, "duration_s=200"))
+    drawn = NoiseColumns.of(settings(*NOISY)).next(200_000)
     p = np.exp(-2.0 * np.pi * 18.0 * 0.001)
     assert drawn.std() == pytest.approx(0.03, rel=0.03)
     for lag in (1, 5):
@@ -164,7 +164,7 @@ def test_samples_late_by_a_part_of_a_step_lie_between_two():
 def test_noise_of_a_run_is_drawn_as_tick_by_tick(rms, lag):
     """White too where the filter remembers next to nothing."""
     scenario = settings("duration_s=0.05", "seed=5", f"plant.sensor.noise_mps2={rms}", *lag)
-    drawn, all_at_once = NoiseColumns.of(scenario), noise(scenario)
+    drawn, all_at_once = NoiseColumns.of(scenario), NoiseColumns.of(scenario).next(50)
     assert all_at_once.tolist() == [float(drawn.next(1)[0]) for _ in range(50)]
     assert all_at_once.any() == (rms > 0.0)
     if rms and "plant.sensor.corner_hz=40" not in lag:
