@@ -44,19 +44,11 @@ def injected(
     command: Command, tick: int, tick_ns: int
 ) -> FaultSettings | DisturbanceSettings | None:
     """What ``command`` injects, from ``tick`` on; None: something unknown or impossible."""
+    make = _disturbance if command.place == WORLD else _fault
     try:
-        return _made(command, tick * tick_ns / 1e9)
+        return make(command, tick * tick_ns / 1e9)
     except ValidationError:
         return None
-
-
-def _made(command: Command, at_s: float) -> FaultSettings | DisturbanceSettings:
-    """What ``command`` injects.
-
-    Raises:
-        ValidationError: see ``_fault``; a disturbance of no size, or of a size out of bounds.
-    """
-    return (_disturbance if command.place == WORLD else _fault)(command, at_s)
 
 
 def require_possible(command: Command) -> None:
@@ -167,29 +159,21 @@ class Injection:
 
     def inject(self, command: Command, tick: int) -> bool:
         """Add what ``command`` injects from ``tick`` on; return whether that is possible."""
-        fault = injected(command, tick, self.scenario.tick_ns)
-        if fault is None:
-            return False
-        if isinstance(fault, DisturbanceSettings):
-            return self._push(fault)
-        faults = (*self.scenario.faults, fault)
-        late = sum(each.late_ticks for each in faults if each.kind.endswith("-late"))
-        if late > MAX_LATE_TICKS:
+        made, scenario = injected(command, tick, self.scenario.tick_ns), self.scenario
+        if made is None:
             return False
         try:
-            self.scenario = replace(self.scenario, fault=faults)
-        except ValidationError:  # of a sensor that the scenario lacks
+            if isinstance(made, DisturbanceSettings):
+                require_world(scenario.plant, (made,))
+                self.scenario = replace(scenario, disturbance=(*scenario.disturbance, made))
+                return True
+            faults = (*scenario.faults, made)
+            late = sum(each.late_ticks for each in faults if each.kind.endswith("-late"))
+            if late > MAX_LATE_TICKS:
+                return False
+            self.scenario = replace(scenario, fault=faults)
+        except (ScenarioError, ValidationError):  # a plant or a sensor that the scenario lacks
             return False
-        return True
-
-    def _push(self, disturbance: DisturbanceSettings) -> bool:
-        """Add a disturbance; return False for a plant that it cannot push."""
-        try:
-            pushed = replace(self.scenario, disturbance=(*self.scenario.disturbance, disturbance))
-            require_world(pushed.plant, (disturbance,))
-        except (ScenarioError, ValidationError):
-            return False
-        self.scenario = pushed
         return True
 
     def clear(self, place: str, tick: int) -> None:
