@@ -36,10 +36,9 @@ arrival of the later command over the tick, rounded up: 1 where the exchange fit
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -88,18 +87,32 @@ class PeriodicFrame:
 
 
 @dataclass(frozen=True)
-class Response:
-    """The result for one frame; all times in seconds, exact."""
+class FrameTiming:
+    """One frame on the bus; times in seconds, exact."""
 
-    frame: PeriodicFrame
+    name: str
+    frame_id: int
+    extended: bool
+    bits: int
+    """Worst case, with the intermission."""
     transmission_s: Fraction
-    blocking_s: Fraction
-    instances: int
-    """Instances of the frame in the busy period; 0 if that is unbounded."""
-    busy_period_s: Fraction | None
-    """None: the bus is never free at this priority; the frame may wait for ever."""
+    """Time for that many bits."""
+    release_s: Fraction
+    """Latest time, after the start of its period, at which the node queues the frame."""
     response_s: Fraction | None
-    """From the release to the end of the intermission after the frame; None: unbounded."""
+    """Worst case from the release to the end of the intermission; None: unbounded."""
+    deadline_s: Fraction
+    """Largest allowed response: the period, at whose end the next instance is queued."""
+
+    @property
+    def arrival_s(self) -> Fraction | None:
+        """Latest end of the frame, after the start of its period."""
+        return None if self.response_s is None else self.release_s + self.response_s
+
+    @property
+    def slack_s(self) -> Fraction | None:
+        """Deadline minus response, negative for a missed deadline."""
+        return None if self.response_s is None else self.deadline_s - self.response_s
 
 
 def exact(seconds: Seconds) -> Fraction:
@@ -117,8 +130,8 @@ def utilisation(
 
 def response_times(
     frames: Sequence[PeriodicFrame], bitrate: int, data_bitrate: int | None = None
-) -> list[Response]:
-    """The worst-case response of each frame, in order of priority.
+) -> list[FrameTiming]:
+    """The worst case of each frame, in order of priority; the jitter is its release.
 
     Args:
         frames: all frames on the bus, in any order.
@@ -142,10 +155,20 @@ def response_times(
     found = []
     for m, frame in enumerate(ordered):
         blocking = max((other.transmission for other in loads[m + 1 :]), default=0)
-        analysis = _Analysis(loads[:m], loads[m], blocking, int(bit * per_s))
-        busy, instances, response = analysis.worst()
-        seconds = (None if t is None else Fraction(t, per_s) for t in (busy, response))
-        found.append(Response(frame, times[m][0], Fraction(blocking, per_s), instances, *seconds))
+        response = _worst(loads[:m], loads[m], blocking, int(bit * per_s))
+        transmission_s, period_s, jitter_s = times[m]
+        found.append(
+            FrameTiming(
+                name=frame.name,
+                frame_id=frame.frame_id,
+                extended=frame.extended,
+                bits=frame.bits.on_the_bus,
+                transmission_s=transmission_s,
+                release_s=jitter_s,
+                response_s=None if response is None else Fraction(response, per_s) - jitter_s,
+                deadline_s=period_s,
+            )
+        )
     return found
 
 
@@ -173,35 +196,20 @@ class _Load(NamedTuple):
     jitter: int
 
 
-@dataclass(frozen=True)
-class _Analysis:
-    """The module's equations for one frame `own`, in units of time."""
-
-    higher: Sequence[_Load]
-    own: _Load
-    blocking: int
-    bit: int
-
-    def worst(self) -> tuple[int | None, int, int | None]:
-        """Return t, Q and R; an endless busy period has no t and no R, and a Q of 0."""
-        own = self.own
-        everything = [*self.higher, own]
-        share = sum(Fraction(load.transmission, load.period) for load in everything)
-        once = self.blocking > 0 or any(load.jitter for load in everything)
-        if share > 1 or (share == 1 and once):  # a backlog is never worked off
-            return None, 0, None
-        busy = _least(own.transmission, lambda t: self.blocking + _demand(everything, t))
-        instances = _times(busy + own.jitter, own.period)
-        response, w = 0, self.blocking
-        for q in range(instances):
-            w = _least(w, partial(self._sent_before, earlier=q))  # never below the last one's
-            response = max(response, own.jitter + w - q * own.period + own.transmission)
-        return busy, instances, response
-
-    def _sent_before(self, w: int, earlier: int) -> int:
-        """The right-hand side of w(q), `earlier` being q."""
-        own = self.blocking + earlier * self.own.transmission
-        return own + _demand(self.higher, w + self.bit)
+def _worst(higher: Sequence[_Load], own: _Load, blocking: int, bit: int) -> int | None:
+    """R of the module's equations, in units of time; None where the busy period is endless."""
+    everything = [*higher, own]
+    share = sum(Fraction(load.transmission, load.period) for load in everything)
+    once = blocking > 0 or any(load.jitter for load in everything)
+    if share > 1 or (share == 1 and once):  # a backlog is never worked off
+        return None
+    busy = _least(own.transmission, blocking, everything)
+    response, w = 0, blocking
+    for q in range(_times(busy + own.jitter, own.period)):
+        sent_before = blocking + q * own.transmission
+        w = _least(w, sent_before, higher, bit)  # never below the last one's
+        response = max(response, own.jitter + w - q * own.period + own.transmission)
+    return response
 
 
 def _times(t: int, period: int) -> int:
@@ -214,10 +222,10 @@ def _demand(loads: Sequence[_Load], t: int) -> int:
     return sum(_times(t + load.jitter, load.period) * load.transmission for load in loads)
 
 
-def _least(start: int, step: Callable[[int], int]) -> int:
-    """The least fixed point of a monotonic `step`, from a `start` at or below the fixed point."""
+def _least(start: int, fixed: int, loads: Sequence[_Load], bit: int = 0) -> int:
+    """The least t = `fixed` + demand of `loads` in t + `bit`, from a `start` at or below t."""
     t = start
-    while (longer := step(t)) > t:
+    while (longer := fixed + _demand(loads, t + bit)) > t:
         t = longer
     return t
 
@@ -227,35 +235,6 @@ MAX_SETTLING_TICKS: Final = 64  # more latency than a controller's table can hol
 
 class TimingError(RigError):
     """A bus too slow to send a tick's frames within the tick."""
-
-
-@dataclass(frozen=True)
-class FrameTiming:
-    """One frame on the bus; times in seconds, exact."""
-
-    name: str
-    frame_id: int
-    extended: bool
-    bits: int
-    """Worst case, with the intermission."""
-    transmission_s: Fraction
-    """Time for that many bits."""
-    release_s: Fraction
-    """Latest time after the start of the tick at which the node queues the frame."""
-    response_s: Fraction | None
-    """Worst case from the release to the end of the intermission; None: unbounded."""
-    deadline_s: Fraction
-    """Largest allowed response: the period, at whose end the next instance is queued."""
-
-    @property
-    def arrival_s(self) -> Fraction | None:
-        """Latest end of the frame, after the start of the tick."""
-        return None if self.response_s is None else self.release_s + self.response_s
-
-    @property
-    def slack_s(self) -> Fraction | None:
-        """Deadline minus response, negative for a missed deadline."""
-        return None if self.response_s is None else self.deadline_s - self.response_s
 
 
 @dataclass(frozen=True)
@@ -355,9 +334,9 @@ def dbc_timing(path: str | Path, bitrate: int, data_bitrate: int | None = None) 
             f"{path}: no message to look at: {without}; a message must have a GenMsgCycleTime "
             "above 0 ms, and fit in a frame"
         )
-    responses = response_times(frames, bitrate, data_bitrate)
+    timings = response_times(frames, bitrate, data_bitrate)
     taken = utilisation(frames, bitrate, data_bitrate)
-    return BusTiming(bitrate, taken, [_timing(r) for r in responses], left_out=left_out)
+    return BusTiming(bitrate, taken, timings, left_out=left_out)
 
 
 def _of_tick(codec: MessageCodec, tick: Fraction) -> PeriodicFrame:
@@ -384,9 +363,9 @@ def _apart(
     compute: Fraction,
 ) -> list[FrameTiming]:
     """The two groups, each by itself on the bus."""
-    measured = [_timing(response) for response in response_times(plant, bitrate)]
+    measured = response_times(plant, bitrate)
     release = (_latest(measured) or 0) + compute
-    return [*measured, *(_timing(r, release) for r in response_times(answers, bitrate))]
+    return [*measured, *(replace(f, release_s=release) for f in response_times(answers, bitrate))]
 
 
 def _outranked(
@@ -422,31 +401,13 @@ def _together(
     release, limit = compute, MAX_SETTLING_TICKS * exact(plant[0].period_s)
     while True:
         late = [replace(frame, jitter_s=release) for frame in answers]
-        frames = [
-            _timing(r, Fraction(0) if r.frame.name in names else release)
-            for r in response_times([*plant, *late], bitrate)
-        ]
+        frames = response_times([*plant, *late], bitrate)
         heard = _latest(frame for frame in frames if frame.name in names)
         if heard is None or heard + compute > limit:
             return [replace(frame, response_s=None) for frame in frames]
         if heard + compute == release:
             return frames
         release = heard + compute
-
-
-def _timing(response: Response, release: Fraction = Fraction(0)) -> FrameTiming:
-    frame = response.frame
-    own = None if response.response_s is None else response.response_s - exact(frame.jitter_s)
-    return FrameTiming(
-        name=frame.name,
-        frame_id=frame.frame_id,
-        extended=frame.extended,
-        bits=frame.bits.on_the_bus,
-        transmission_s=response.transmission_s,
-        release_s=release,
-        response_s=own,
-        deadline_s=exact(frame.period_s),
-    )
 
 
 def _latest(frames: Iterable[FrameTiming]) -> Fraction | None:
