@@ -54,12 +54,9 @@ class Pacer:
 
     Args:
         bus: the destination.
-        speed: multiple of the log's pace; None: as fast as the bus accepts frames.
+        speed: multiple of the log's pace, above 0; None: as fast as the bus accepts frames.
         stop: ends the replay between two frames.
         clock: the time.
-
-    Raises:
-        ValueError: a speed of zero or below.
     """
 
     def __init__(
@@ -69,8 +66,6 @@ class Pacer:
         stop: StopRequest,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
-        if speed is not None and speed <= 0:
-            raise ValueError(f"speed is {speed}; it must be above 0")
         self._bus = bus
         self._fd = bus.protocol is not can.CanProtocol.CAN_20
         self._speed = speed
@@ -79,28 +74,23 @@ class Pacer:
         self._first_ns: tuple[int, int] | None = None  # by the log, by the clock
         self.result: Final = Paced()
 
-    def send(self, frames: Frames) -> bool:
-        """Send a chunk of the log; return False after a stop request.
+    def send_all(self, chunks: Iterable[Frames]) -> Paced:
+        """Send a log, up to a stop request.
 
         Raises:
             BusError: the bus refuses a frame for too long.
         """
-        flags = frames.flags.tolist()
-        for time_ns, kind, message in zip(
-            frames.time_ns.tolist(), flags, frames.messages(), strict=True
-        ):
-            if kind & ERROR:
-                self.result.error_frames += 1
-            elif kind & FD and not self._fd:
-                self.result.fd_frames += 1
-            elif not self._wait(time_ns) or not self._put(message):
-                return False
-        return not self._stop.wanted
-
-    def send_all(self, chunks: Iterable[Frames]) -> Paced:
-        """Send a log, up to a stop request."""
         for frames in chunks:
-            if not self.send(frames):
+            for time_ns, kind, message in zip(
+                frames.time_ns.tolist(), frames.flags.tolist(), frames.messages(), strict=True
+            ):
+                if kind & ERROR:
+                    self.result.error_frames += 1
+                elif kind & FD and not self._fd:
+                    self.result.fd_frames += 1
+                elif not self._wait(time_ns) or not self._put(message):
+                    return self.result
+            if self._stop.wanted:
                 break
         return self.result
 
