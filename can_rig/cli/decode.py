@@ -1,6 +1,7 @@
 """``can-rig decode``: a log through a DBC, into files, with an account of the undecoded frames."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,7 +11,7 @@ from can_rig.cli.decoding import Asked, decoding_options, hint
 from can_rig.cli.options import force_option, json_option
 from can_rig.cli.output import json_line, note, reading, say, show, table
 from can_rig.decoding.decode import Decoder
-from can_rig.decoding.files import Form, Selection, decode_to_files, refuse_output
+from can_rig.decoding.files import decode_to_files, refuse_output
 from can_rig.logs.frames import Log
 from can_rig.storage.files import refuse_itself
 
@@ -62,9 +63,10 @@ def command(
     for path in outputs:
         refuse_output(path, force)
     refuse_itself(source.path, *outputs)
-    selection = Selection(messages or None, signals or None, asked.channel)
-    form = Form(relative, names, force)
-    decoder = decode_to_files(source, databases, selection, outputs, form, reading)
+    making = partial(Decoder, databases, messages or None, signals or None, asked.channel)
+    decoder = decode_to_files(
+        source, making, outputs, reading, relative=relative, names=names, force=force
+    )
     if as_json:
         json_line(**_summary(source, decoder, outputs))
     else:

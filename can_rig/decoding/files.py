@@ -1,16 +1,16 @@
 """A whole log, decoded into files chunk by chunk; incomplete files are removed."""
 
 import json
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
-from can_rig.decoding.decode import Databases, Decoder
+from can_rig.decoding.decode import Decoder
 from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.errors import LogError
 from can_rig.logs.frames import Frames, Log, concatenate
@@ -72,31 +72,6 @@ class Output(Protocol):
         """Finish the files."""
 
 
-@dataclass(frozen=True)
-class Selection:
-    """The part of a log to decode; None: all."""
-
-    messages: Collection[str] | None = None
-    signals: Collection[str] | None = None
-    channel: str | None = None
-
-    def decoder(self, databases: Databases) -> Decoder:
-        """A new decoder for the selection."""
-        return Decoder(databases, self.messages, self.signals, self.channel)
-
-
-@dataclass(frozen=True)
-class Form:
-    """The form of the output."""
-
-    relative: bool = False
-    """Time counts from the start of the recording."""
-    names: bool = False
-    """Words of value tables in place of numbers."""
-    force: bool = False
-    """Earlier outputs are replaced."""
-
-
 def refuse_output(path: Path, force: bool) -> None:
     """Refuse an unknown format, or an existing output without ``force``.
 
@@ -137,38 +112,49 @@ def output(path: Path, contents: Contents, force: bool) -> Iterator[Output]:
 
 def decode_to_files(
     log: Log,
-    databases: Databases,
-    selection: Selection,
+    making: Callable[[], Decoder],
     outputs: Sequence[Path],
-    form: Form,
     reading: Reading,
+    *,
+    relative: bool = False,
+    names: bool = False,
+    force: bool = False,
 ) -> Decoder:
     """Decode ``log`` into every one of ``outputs``; returns the counts of the frames.
 
     All outputs appear at the end, complete.
+
+    Args:
+        log: read as often as needed; a pipe once.
+        making: makes a decoder for the wanted part of the log.
+        outputs: see ``output``.
+        reading: iterates over the log and shows the progress.
+        relative: time counts from the start of the recording.
+        names: words of value tables in place of numbers.
+        force: earlier outputs are replaced.
 
     Raises:
         LogError: the log cannot be read, lacks the selected bus, or is no log; an output cannot be
             written.
         DbcError: the database lacks a selected message or signal.
     """
-    decoder = selection.decoder(databases)
+    decoder = making()
     widest = max((len(message.signals) for message in decoder.messages.values()), default=0)
     log.chunk_frames = min(log.chunk_frames, max(_CELLS // (widest + 1), _LEAST_ROWS))
     layout = {}
     if any(path.suffix == ".csv" for path in outputs):
-        layout = _survey(log, selection.decoder(databases), reading)
+        layout = _survey(log, making(), reading)
     with ExitStack() as stack:
         writers: list[Output] | None = None
 
         def opened() -> list[Output]:
-            start_ns = 0 if form.relative else log.start_ns
-            contents = Contents(layout, start_ns, form.names)
-            return [stack.enter_context(output(path, contents, form.force)) for path in outputs]
+            start_ns = 0 if relative else log.start_ns
+            contents = Contents(layout, start_ns, names)
+            return [stack.enter_context(output(path, contents, force)) for path in outputs]
 
         for frames in reading(log, "decoding"):
             writers = opened() if writers is None else writers
-            start_ns = log.start_ns if form.relative else 0
+            start_ns = log.start_ns if relative else 0
             chunk = decoder.decode(replace(frames, time_ns=frames.time_ns - start_ns))
             for writer in writers:
                 writer.write(chunk)

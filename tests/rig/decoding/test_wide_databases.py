@@ -8,7 +8,8 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from can_rig.decoding.files import Form, Selection, decode_to_files
+from can_rig.decoding.decode import Decoder
+from can_rig.decoding.files import decode_to_files
 from can_rig.frames.databases import load_database
 from can_rig.logs.frames import Frames, Log
 from can_rig.logs.reading import read_log
@@ -49,7 +50,7 @@ def decoded(wide: Path, out: Path, names: bool = False) -> Path:
     """Decoded into ``out``, in chunks of 64 frames."""
     log = read_log(wide, chunk_frames=64)
     database = load_database(wide.with_suffix(".dbc"))
-    decode_to_files(log, database, Selection(), [out], Form(names=names), in_pieces)
+    decode_to_files(log, lambda: Decoder(database), [out], in_pieces, names=names)
     return out
 
 
