@@ -65,17 +65,6 @@ class PlantBehind(Protocol):
 Sensors = tuple[FurtherSensor, ...]
 
 
-def plant_behind(settings: PlantSettings, tick_s: float, sensors: Sensors = ()) -> PlantBehind:
-    """Make the plant of ``settings``, at rest, behind its actuators and its sensors.
-
-    Raises:
-        ScenarioError: an unstable car, or a class without the plant's methods.
-    """
-    if settings.is_own:
-        return ClassBehind(settings, tick_s, sensors)
-    return LinearBehind(settings, tick_s, sensors)
-
-
 def readings_of(sensors: Sensors) -> list[Reading]:
     """What further sensors read of a linear plant."""
     return [Reading(_READS[each.measures], each.lag_s) for each in sensors]

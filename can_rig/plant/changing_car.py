@@ -11,7 +11,6 @@ from can_rig.plant.behind import (
     LinearBehind,
     PlantBehind,
     Sensors,
-    plant_behind,
     readings_of,
     sampled_plant,
     with_outputs,
@@ -58,9 +57,9 @@ def plant_of(scenario: Scenario, changing: bool = False) -> PlantBehind:
     world = made if pushes else None
     if scenario.drive.is_given or (world is not None and not scenario.plant.is_own):
         return ChangingCar(scenario, world)
-    if world is None:
-        return plant_behind(scenario.plant, scenario.tick_s, scenario.sensors)
-    return ClassBehind(scenario.plant, scenario.tick_s, scenario.sensors, world)
+    if scenario.plant.is_own:
+        return ClassBehind(scenario.plant, scenario.tick_s, scenario.sensors, world)
+    return LinearBehind(scenario.plant, scenario.tick_s, scenario.sensors)
 
 
 def linear_plant(scenario: Scenario) -> SampledPlant | None:
@@ -132,7 +131,9 @@ class ChangingCar:
             return values
         now = self._world.during(self._tick)
         force = float(specific_force(self._constants, self._car.memory[0], speed_mps, now))
-        return values | accelerations(force, now)
+        gravity = GRAVITY_MPS2 * float(now[0, BANK])  # which no accelerometer reads
+        accelerations = (force, force + gravity)
+        return values | dict(zip(ACCELERATIONS, accelerations, strict=True))
 
     def push(self, world: Disturbances) -> None:
         """From this tick on, another world."""
@@ -210,12 +211,3 @@ def _pages(begin: int, end: int) -> Iterator[range]:
         stop = min(begin - begin % BLOCK + BLOCK, end)
         yield range(begin, stop)
         begin = stop
-
-
-def accelerations(specific_force_mps2: float, world: FloatArray) -> dict[str, float]:
-    """The lateral acceleration as an accelerometer reads it, and the car's own, m/s².
-
-    On a banked road gravity accelerates the car, and no accelerometer reads that.
-    """
-    own = specific_force_mps2 + GRAVITY_MPS2 * float(world[0, BANK])
-    return dict(zip(ACCELERATIONS, (specific_force_mps2, own), strict=True))

@@ -8,7 +8,8 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.actuators import FollowedCommand
-from can_rig.plant.behind import LinearBehind, plant_behind
+from can_rig.plant.behind import LinearBehind
+from can_rig.plant.changing_car import plant_of
 from can_rig.plant.sensor import FilteredSamples, NoiseColumns
 from can_rig.plant.simulated import SimulatedPlant
 from firmware_model.design.actuator_dynamics import Stage
@@ -34,7 +35,7 @@ def settings(*changes, name="thesis-step"):
 
 def driven(scenario, commands, left=(1.0, 1.0)):
     """D* of the car, what the sensor reads, and the reports, for a pair of commands a tick."""
-    plant = plant_behind(scenario.plant, scenario.tick_s)
+    plant = plant_of(scenario)
     found, reports = [], []
     for pair in commands:
         reports.append(plant.report(*pair, *left))
@@ -84,7 +85,7 @@ def test_a_dead_actuator_fades_with_its_lag_and_does_not_wait():
     """What is still in its dead time is lost too."""
     for kind in ("steer-by-wire", LINEAR):
         scenario = settings(*LAGS, f"plant.kind={kind}")
-        plant = plant_behind(scenario.plant, scenario.tick_s)
+        plant = plant_of(scenario)
         for _ in range(200):
             plant.follow(10.0, 0.0, 1.0, 1.0)
         torque = []
@@ -235,7 +236,7 @@ class Counting:
 
 
 def behind(*settings: str, tick_s: float = 1e-3) -> Any:
-    return plant_behind(load("thesis-step", ["fault.kind=none", *settings]).plant, tick_s)
+    return plant_of(load("thesis-step", ["fault.kind=none", f"tick_s={tick_s}", *settings]))
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
 
 from can_rig.assessment.resolve import load
-from can_rig.plant.behind import plant_behind
+from can_rig.plant.changing_car import plant_of
 from can_rig.plant.frameless import frameless
 from can_rig.scenario.build import network_of
 from firmware_model.law.status import FaultState
@@ -60,7 +60,7 @@ def test_a_loss_is_confirmed_and_compensated_without_an_alarm_before(model, base
 def test_it_reports_its_motion():
     """In a steady bend the yaw rate is the lateral acceleration over the speed: D* is both."""
     chosen = scenario("st")
-    plant = plant_behind(chosen.plant, 0.001)
+    plant = plant_of(chosen)
     for _ in range(4000):
         output, _ = plant.follow(20.0, 0.0, 1.0, 1.0)
     motion = plant.report(20.0, 0.0, 1.0, 1.0)

@@ -12,7 +12,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.errors import RigError, ScenarioError
 from can_rig.plant import protocol as plant_protocol
-from can_rig.plant.behind import plant_behind
+from can_rig.plant.changing_car import plant_of
 from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.plant.protocol import PlantProtocol, load_plant
 from can_rig.plant.simulated import SimulatedPlant
@@ -189,8 +189,9 @@ def test_the_linear_plant_through_the_protocol_writes_the_log_of_the_built_in_on
 
 def test_every_plant_of_this_package_is_one():
     kinds = ("steer-by-wire", "can_rig.plant.nonlinear_car:NonlinearCar")
-    for settings in (*(PlantSettings(kind=kind) for kind in kinds), load("chapter-2").plant):
-        assert plant_behind(settings, 0.001).follow(0.0, 0.0, 1.0, 1.0) == (0, 0)
+    made = [load("thesis-step", [f"plant.kind={kind}"]) for kind in kinds]
+    for scenario in (*made, load("chapter-2")):
+        assert plant_of(scenario).follow(0.0, 0.0, 1.0, 1.0) == (0, 0)
     names = [name for name in inspect.signature(NonlinearCar.advance).parameters if name != "self"]
     assert names == ["dt_s", "torque_nm", "force_difference_n", "world"]
 

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from can_rig.assessment.resolve import load
 from can_rig.errors import RigError
 from can_rig.fmu.file import CO_SIMULATION, MODEL_EXCHANGE
-from can_rig.plant.behind import plant_behind
+from can_rig.plant.changing_car import plant_of
 from can_rig.plant.protocol import GuardedPlant, load_plant
 from can_rig.scenario.build import continuous_car
 from can_rig.scenario.plant_settings import PlantSettings
@@ -30,7 +30,7 @@ def settings(path: Path, fmi_type: str | None = None, **keys) -> PlantSettings:
     return PlantSettings(kind=f"fmu:{path}", variables=variables, fmi_type=fmi_type, **keys)
 
 
-def plant_of(chosen: PlantSettings):
+def loaded(chosen: PlantSettings):
     return load_plant(chosen.kind, chosen)
 
 
@@ -49,7 +49,7 @@ def test_it_moves_as_the_matrix_exponential_says(version, fmi_type, cars):
     both[:4, :4], both[:4, 4:] = car.a, car.b
     step = expm(both * dt_s)
     signals = {"yaw_rate_rad_per_s": "x[1]", "bounces": "bounces", "switched_on": "on"}
-    plant = plant_of(settings(cars[version], fmi_type, variables=signals))
+    plant = loaded(settings(cars[version], fmi_type, variables=signals))
     random, x = np.random.default_rng(7), np.zeros(4)
     for _ in range(100):
         torque_nm, force_n = random.normal(size=2) * (20.0, 500.0)
@@ -67,7 +67,7 @@ def test_events_between_ticks_happen_where_they_are(version, fmi_type, tmp_path)
     path = build(tmp_path / "one.fmu", version, [[-1.0]], [[1.0, 0.0]], [1.0])
     given = {"switch_s": 0.205, "wall": {"at": 0.5}}
     chosen = settings(path, fmi_type, variables={"bounces": "bounces"}, parameters=given)
-    plant = plant_of(chosen)
+    plant = loaded(chosen)
     switched = 1.0 - math.exp(-0.205)
     first = 0.205 + math.log((2.0 - switched) / 1.5)
     second = first + math.log(2.25 / 1.5)
@@ -87,7 +87,7 @@ def test_events_between_ticks_happen_where_they_are(version, fmi_type, tmp_path)
 @pytest.mark.parametrize(("version", "fmi_type"), TYPES)
 def test_reset_is_back_to_rest_and_two_know_nothing_of_each_other(version, fmi_type, cars):
     chosen = settings(cars[version], fmi_type, parameters={"gain": 2.0})
-    one, other = plant_of(chosen), plant_of(settings(cars[version], fmi_type))
+    one, other = loaded(chosen), loaded(settings(cars[version], fmi_type))
     once = [one.advance(0.001, 10.0, 0.0) for _ in range(5)]
     assert other.advance(0.001, 5.0, 0.0) == pytest.approx(0.25 * once[0], abs=1e-8)
     one.reset()
@@ -95,7 +95,7 @@ def test_reset_is_back_to_rest_and_two_know_nothing_of_each_other(version, fmi_t
 
 
 def test_co_simulation_is_chosen_where_nothing_is_said(cars):
-    calls = [plant_of(settings(cars[2], each)).advance(0.1, 1.0, 1.0) for each in (None, *BOUNDS)]
+    calls = [loaded(settings(cars[2], each)).advance(0.1, 1.0, 1.0) for each in (None, *BOUNDS)]
     assert calls[0] == calls[1] != calls[2]
 
 
@@ -113,8 +113,7 @@ def test_between_ticks_it_gets_what_the_actuators_make_of_the_commands(cars):
     lags = ["plant.torque_actuator.lag_s=0.01", "plant.sensor.corner_hz=50"]
     tuned = ["design.alpha=3", "design.alpha_q=3", "design.tau_q_s=0.05"]
     fmu, linear = (
-        plant_behind(load("thesis-step", [*lags, *tuned, *more]).plant, 0.001)
-        for more in (keys_of(cars[3]), [])
+        plant_of(load("thesis-step", [*lags, *tuned, *more])) for more in (keys_of(cars[3]), [])
     )
     for tick in range(50):
         commands = 10.0 * math.sin(tick / 9.0), 100.0 * math.cos(tick / 7.0)
@@ -126,7 +125,7 @@ def test_between_ticks_it_gets_what_the_actuators_make_of_the_commands(cars):
 @pytest.mark.parametrize(("version", "fmi_type"), TYPES)
 def test_one_that_fails_in_mid_run_is_one_line_with_its_own_words(version, fmi_type, cars):
     chosen = settings(cars[version], fmi_type, parameters={"fail_s": 0.02})
-    plant = GuardedPlant(chosen.kind, plant_of(chosen))
+    plant = GuardedPlant(chosen.kind, loaded(chosen))
     name = "DoStep" if fmi_type == CO_SIMULATION else r"Get\w*Derivatives"
     line = (
         rf"^plant\.kind = 'fmu:.*car{version}\.fmu': advance failed at 0\.0\d+ s: FmuError: "
@@ -139,7 +138,7 @@ def test_one_that_fails_in_mid_run_is_one_line_with_its_own_words(version, fmi_t
 
 def test_one_that_ends_its_simulation_is_one_line(cars):
     chosen = settings(cars[3], parameters={"on": False})
-    plant = GuardedPlant(chosen.kind, plant_of(chosen))
+    plant = GuardedPlant(chosen.kind, loaded(chosen))
     with pytest.raises(RigError, match=r"at 0\.0\d+ s: FmuError: the FMU ends the simulation$"):
         for _ in range(100):
             plant.advance(0.001, 1.0, 0.0)
