@@ -7,7 +7,6 @@ Any window of a run has the values that the whole run has, so a long run is comp
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -48,7 +47,7 @@ class Disturbances:
         self._tick_ns = scenario.tick_ns
         self._is_car = scenario.plant.is_car
         self._parts = [
-            (each, _turbulence(scenario, number) if each.kind == "turbulence" else None)
+            (each, Turbulence(scenario, number) if each.kind == "turbulence" else None)
             for number, each in enumerate(scenario.disturbance)
             if each.kind != "none"
         ]
@@ -129,21 +128,6 @@ def level(disturbance: DisturbanceSettings, ticks: range, tick_ns: int) -> Float
     return 0.5 - 0.5 * np.cos(np.pi * risen)
 
 
-def _turbulence(scenario: Scenario, number: int) -> Turbulence:
-    """Of the disturbance with this ``number``."""
-    length_m = scenario.disturbance[number].length_m or 1.0
-    tick_s = scenario.tick_ns * 1e-9
-    if scenario.drive.is_given:
-        profile = speed_profile(scenario)
-        return Turbulence(
-            scenario.seed,
-            number,
-            lambda ticks: np.exp(-profile(ticks * tick_s) * tick_s / length_m),
-        )
-    memory = math.exp(-scenario.plant.speed_mps * tick_s / length_m)
-    return Turbulence(scenario.seed, number, lambda ticks: np.full(len(ticks), memory))
-
-
 class Turbulence:
     """Wind of rms 1 through which the car drives, as noise of first order.
 
@@ -153,13 +137,15 @@ class Turbulence:
     standing car the wind stays.
 
     Args:
-        seed: of the scenario.
+        scenario: the run.
         number: of the disturbance; each number has a wind of its own.
-        memory: p at these ticks, (n,) to (n,).
     """
 
-    def __init__(self, seed: int, number: int, memory: Callable[[FloatArray], FloatArray]) -> None:
-        self._seed, self._number, self._memory = seed, number, memory
+    def __init__(self, scenario: Scenario, number: int) -> None:
+        self._seed, self._number = scenario.seed, number
+        self._profile = speed_profile(scenario) if scenario.drive.is_given else None
+        self._speed_mps, self._tick_s = scenario.plant.speed_mps, scenario.tick_ns * 1e-9
+        self._length_m = scenario.disturbance[number].length_m or 1.0
         self._last: list[float] = []  # of each block that was computed
         self._held, self._values = -1, np.zeros(0)
 
@@ -187,7 +173,12 @@ class Turbulence:
     def _compute(self, block: int) -> None:
         source = np.random.SeedSequence(self._seed, spawn_key=(self._number, block))
         drawn = np.random.Generator(np.random.PCG64(source)).standard_normal(BLOCK)
-        memory = self._memory(np.arange(block * BLOCK, (block + 1) * BLOCK, dtype=np.float64))
+        if self._profile is None:
+            memory = np.full(BLOCK, math.exp(-self._speed_mps * self._tick_s / self._length_m))
+        else:
+            ticks = np.arange(block * BLOCK, (block + 1) * BLOCK, dtype=np.float64)
+            speeds = self._profile(ticks * self._tick_s)
+            memory = np.exp(-speeds * self._tick_s / self._length_m)
         if block == 0:
             memory[0] = 0.0  # a stationary start
         last = coloured(drawn, memory, self._last[block - 1] if block else 0.0)
