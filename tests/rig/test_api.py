@@ -83,26 +83,11 @@ def test_a_temporary_folder_goes_with_its_run() -> None:
 def test_a_run_that_fails_says_why_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[str] = []
     monkeypatch.setattr(recorded_run, "mkdtemp", lambda prefix: made.append(mkdtemp()) or made[0])
-    settings = {"plant.kind": "tests.rig.test_api:Fails", "duration_s": 0.05}
-    with pytest.raises(errors.RigError, match="lateral"):
+    failing = {"plant.kind": "tests.rig.plant.failing:Failing", "plant.parameters.calls": 20}
+    settings = {**failing, "duration_s": 0.05}
+    with pytest.raises(errors.RigError, match="stuck"):
         can_rig.run("thesis-step", settings, allow_unstable=True)
     assert not Path(made[0]).exists()
-
-
-class Fails:
-    """A plant that does not get far."""
-
-    def __init__(self, settings: object) -> None:
-        self._ticks = 0
-
-    def reset(self) -> None:
-        self._ticks = 0
-
-    def advance(self, dt_s: float, command_1: float, command_2: float) -> float:
-        self._ticks += 1
-        if self._ticks > 20:
-            raise ArithmeticError("no lateral force left")
-        return 0.0
 
 
 def test_a_run_of_the_command_line_is_one_too(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from firmware_model.analysis.simulation import Simulation
 from firmware_model.design import plants
 from firmware_model.design.vehicle import Variant, VehicleParameters
 from firmware_model.law.status import FaultState
+from tests.rig.plant.failing import FAILING
 
 SWINGING = ("limits.torque_rate_nm_per_s=5000", "plant.sensor.noise_mps2=0.005")
 OTHER_CAR = {  # a small car; some 40 % off the thesis's
@@ -169,27 +170,11 @@ def test_the_traces_of_few_cars_are_kept_at_once(monkeypatch):
     assert (kept, most) == (0, 3)
 
 
-class Breaks:
-    """A plant at rest that fails in its 900th step."""
-
-    def __init__(self, settings: object) -> None:
-        self.steps = 0
-
-    def reset(self) -> None:
-        pass
-
-    def advance(self, dt_s: float, command_1: float, command_2: float) -> float:
-        self.steps += 1
-        assert self.steps < 900
-        return 0.0
-
-
 def test_a_plant_that_fails_is_not_merely_away():
-    kind = f"{__name__}:Breaks"
-    scenario = load("ideal", [f"plant.kind={kind}"])
+    scenario = load("ideal", [FAILING, "plant.parameters.calls=899"])
     drives = Drives(scenario, network_of(scenario))
     *_, finding = drives.findings("this car", scenario.plant, "torque dead")
-    said = re.fullmatch(rf"this car: healthy: {re.escape(kind)} fails at (\S+) s", str(finding))
+    said = re.fullmatch(r"this car: healthy: .*failing:Failing fails at (\S+) s", str(finding))
     assert said
     assert float(said[1]) == pytest.approx(0.9, abs=0.01)
 

@@ -6,7 +6,7 @@ FAILING = "plant.kind=tests.rig.plant.failing:Failing"
 
 
 class Failing:
-    """Gets stuck after so many calls of ``advance``: the parameter ``calls``."""
+    """Gets stuck once, after so many calls of ``advance``: the parameter ``calls``."""
 
     def __init__(self, settings: PlantSettings) -> None:
         self.most = settings.parameters["calls"]
@@ -17,7 +17,7 @@ class Failing:
 
     def advance(self, dt_s: float, torque_nm: float, force_difference_n: float) -> float:
         self.calls += 1
-        if self.calls > self.most:
+        if self.calls == self.most + 1:
             raise RuntimeError("stuck")
         self.dstar_mps2 += (0.02 * torque_nm - self.dstar_mps2) * dt_s
         return self.dstar_mps2

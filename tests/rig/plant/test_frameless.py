@@ -20,27 +20,12 @@ from firmware_model.analysis.simulation import Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law.status import Mode
 from tests.helpers import on_no_bus, record
+from tests.rig.plant.failing import FAILING
 from tests.rig.plant.fault_settings import fault_list
-from tests.rig.plant.linear import LinearPlant
 
 KINDS = [kind for kind in get_args(FaultKind) if kind != "none"]
 NONLINEAR = "plant.kind=can_rig.plant.nonlinear_car:NonlinearCar"
 LINEAR = "plant.kind=tests.rig.plant.linear:LinearPlant"
-FAILING = "plant.kind=tests.rig.plant.test_frameless:Failing"
-
-
-class Failing(LinearPlant):
-    """A plant that fails once, and would go on."""
-
-    def __init__(self, settings):
-        super().__init__(settings)
-        self._left = 20
-
-    def advance(self, *arguments):
-        self._left -= 1
-        if self._left == 0:
-            raise ValueError("stuck")
-        return super().advance(*arguments)
 
 
 def compared(folder: Path, name: str, *settings: str) -> Trace:
@@ -183,9 +168,9 @@ def test_a_table_and_inputs_of_one_s_own_are_used():
 
 def test_a_plant_that_has_failed_says_nothing_any_more_and_the_controller_holds():
     """Not even where its next call would have answered."""
-    scenario = load("thesis-step", ["duration_s=0.04", "reference.kind=sine", FAILING])
+    failing = [FAILING, "plant.parameters.calls=18", "design.tau_s=0.05", "design.tau_q_s=0.05"]
+    scenario = load("thesis-step", ["duration_s=0.04", "reference.kind=sine", *failing])
     trace = frameless(scenario, network_of(scenario))
-    # One of the twenty calls is made before the run, and taken back by the reset.
     assert np.isfinite(trace.measured).tolist() == [True] * 19 + [False] * 21
     assert (trace.mode[19:] == Mode.BLIND).all()
     assert (trace.command_1[19:] == trace.command_1[18]).all()
