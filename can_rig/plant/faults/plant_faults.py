@@ -199,9 +199,6 @@ class Now(NamedTuple):
     """None in a run without distortions."""
 
 
-HEALTHY_NOW: Final = Now((1.0, 1.0), 0.0, None)
-
-
 class FaultsByTick:
     """``PlantFaults`` tick by tick, computed for many ticks at once.
 
@@ -213,7 +210,6 @@ class FaultsByTick:
     def __init__(self, scenario: Scenario, changing: bool = False) -> None:
         self._faults = PlantFaults(scenario)
         self._changing = changing
-        self._any = changing or any(not fault.acts_on_frames for fault in scenario.faults)
         self._block: list[Now] = []
         self._first = 0
         self.latest_ticks: Final = MAX_LATE_TICKS if changing else self._faults.latest_ticks
@@ -226,8 +222,6 @@ class FaultsByTick:
 
     def at(self, tick: int) -> Now:
         """The effects at ``tick``."""
-        if not self._any:
-            return HEALTHY_NOW
         place = tick - self._first
         if not 0 <= place < len(self._block):
             self._first, place = tick, 0

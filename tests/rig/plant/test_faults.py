@@ -11,7 +11,7 @@ from can_rig.assessment.resolve import load
 from can_rig.errors import RigError
 from can_rig.frames.operator_frames import Command
 from can_rig.plant.faults.injection import injected, require_possible
-from can_rig.plant.faults.plant_faults import HEALTHY_NOW, FaultsByTick, PlantFaults
+from can_rig.plant.faults.plant_faults import FaultsByTick, PlantFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.fault_settings import MAX_LATE_TICKS
@@ -186,10 +186,6 @@ def test_ticks_may_be_asked_for_in_any_order():
     for tick in (4, 5, 9, 6, 2000, 7, 8):
         assert faults.at(tick).left == ((0.0, 1.0) if tick in WINDOW else (1.0, 1.0))
         assert faults.at(tick).rows is None
-
-
-def test_nothing_is_worked_out_where_nothing_can_fail():
-    assert by_tick("fault.kind=none").at(6) is HEALTHY_NOW
 
 
 def test_faults_that_change_do_so_from_the_next_tick_on():
