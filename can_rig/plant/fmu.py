@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from can_rig.errors import ScenarioError
-from can_rig.fmu.file import Description, Request, describe
+from can_rig.fmu.file import Request, describe
 from can_rig.fmu.instance import FmuError, Instance, stepping
 from can_rig.plant.disturbances import AT, CALM, inputs_of
 from can_rig.scenario.driving import WORLD_COLUMNS
@@ -13,47 +11,34 @@ from can_rig.scenario.plant_settings import SIGNALS, PlantSettings
 from firmware_model.law.structs import FloatArray
 
 
-def load_fmu(settings: PlantSettings) -> FmuPlant:
-    """The FMU of ``plant.kind``, at rest.
+class FmuPlant:
+    """The FMU of ``plant.kind``; see ``plant.protocol.ReportingPlant`` and ``PlantInTheWorld``.
 
     Raises:
         ScenarioError: no FMU, a failing start, or a name unknown to the FMU.
     """
-    pushed = inputs_of(settings)
-    description = describe(
-        Request(
-            "plant",
-            settings.kind,
-            settings.variables,
-            settings.parameters,
-            inputs=(*SIGNALS[:2], *pushed),
-            outputs=SIGNALS[2:],
-            fmi_type=settings.fmi_type,
-            at_rest=dict(zip(WORLD_COLUMNS, CALM.tolist(), strict=True)),
+
+    def __init__(self, settings: PlantSettings) -> None:
+        pushed = inputs_of(settings)
+        self._description = describe(
+            Request(
+                "plant",
+                settings.kind,
+                settings.variables,
+                settings.parameters,
+                inputs=(*SIGNALS[:2], *pushed),
+                outputs=SIGNALS[2:],
+                fmi_type=settings.fmi_type,
+                at_rest=dict(zip(WORLD_COLUMNS, CALM.tolist(), strict=True)),
+            )
         )
-    )
-    try:
-        return FmuPlant(description, pushed)
-    except FmuError as error:
-        raise ScenarioError(f"plant.kind = {settings.kind!r}: does not start: {error}") from None
-
-
-class FmuPlant:
-    """See ``plant.protocol.ReportingPlant`` and ``PlantInTheWorld``.
-
-    Args:
-        description: of the FMU.
-        pushed: the inputs behind both commands, of ``disturbances.AT``.
-
-    Raises:
-        FmuError: see ``Instance``.
-    """
-
-    def __init__(self, description: Description, pushed: Sequence[str] = ()) -> None:
-        self._description = description
         self._columns = [AT[each] for each in pushed]
         self._calm = CALM[self._columns].tolist()
-        self.reset()
+        try:
+            self.reset()
+        except FmuError as error:
+            reason = f"does not start: {error}"
+            raise ScenarioError(f"plant.kind = {settings.kind!r}: {reason}") from None
 
     def reset(self) -> None:
         """Return to rest by a new instance, because the reset of some FMUs fails.

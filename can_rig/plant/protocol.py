@@ -99,9 +99,9 @@ def load_plant(kind: str, settings: PlantSettings) -> PlantProtocol:
     """
     if settings.is_fmu:
         require("fmpy", "fmu")
-        from can_rig.plant.fmu import load_fmu  # noqa: PLC0415 (FMPy takes a second)
+        from can_rig.plant.fmu import FmuPlant  # noqa: PLC0415 (FMPy takes a second)
 
-        return load_fmu(settings)
+        return FmuPlant(settings)
     plant_class = find_class(_where(kind), kind, "advance")
     _try(kind, _construct(kind, plant_class, settings))
     return _construct(kind, plant_class, settings)
