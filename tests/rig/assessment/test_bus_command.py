@@ -12,7 +12,7 @@ from can_rig.assessment.resolve import load
 from can_rig.errors import DbcError
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import draft
-from tests.helpers import asked, record, refuses, succeeded
+from tests.helpers import asked, refuses, succeeded
 
 FOREIGN = """VERSION ""
 BS_:
@@ -136,15 +136,6 @@ def test_a_scenario_takes_its_latency_from_the_bus():
 def test_a_bad_bus_is_one_line_that_names_the_key(settings, named):
     with refuses(named):
         load("thesis-step", settings)
-
-
-def test_a_run_with_the_latency_of_the_bus_is_that_with_its_number(tmp_path):
-    short = ("duration_s=0.02", "design.tau_s=0.02", "design.tau_q_s=0.02")
-    logs = [
-        record(tmp_path, *short, f"latency_ticks={latency}")[0].read_bytes()
-        for latency in ("from-bus", 1, 0)
-    ]
-    assert logs[0] == logs[1] != logs[2]
 
 
 def test_the_command_prints_the_table_and_says_by_its_status_whether_it_fits():

@@ -9,7 +9,6 @@ from can_rig.assessment.resolve import load, load_run, resolve
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import draft, read
-from tests.helpers import asked
 
 BUS = ("latency_ticks=from-bus", "tick_s=0.002", "bus.bitrate=500000")
 
@@ -58,11 +57,3 @@ def test_a_run_folder_holds_numbers_and_a_word_may_change_them_again():
 def test_a_word_stands_for_its_own_number_alone(setting, line):
     with pytest.raises(ScenarioError, match=line):
         load("thesis-step", [setting])
-
-
-def test_a_bus_that_is_too_slow_is_one_line_with_the_key():
-    with pytest.raises(ScenarioError, match=r'^scenario x: latency_ticks = "from-bus": 1000 bit/s'):
-        resolve(draft("x", {"latency_ticks": "from-bus", "bus": {"bitrate": 1000}}))
-    done = asked("bus", "--set", "latency_ticks=from-bus", "--set", "bus.bitrate=1000")
-    assert done.returncode == 1  # the latency is the question there, and no answer is an answer
-    assert "not schedulable" in done.stdout
