@@ -108,8 +108,8 @@ def describe(request: Request) -> Description:
     if not path.is_file():
         raise _refused(request, "there is no such file")
     try:
-        refuse_large_description(path)
-        model, files = _read(path), zipfile.ZipFile(path).namelist()
+        files = _files(path)
+        model = _read(path)
     except Exception as error:  # FMPy raises any exception while reading a wrong file
         raise _refused(request, f"must be an FMU: {_why_not(error)}") from None
     version = str(model.fmiVersion)[:1]
@@ -133,6 +133,15 @@ def describe(request: Request) -> Description:
         parameters=names.parameters(),
         at_rest=tuple(request.at_rest.get(key, 0.0) for key in request.inputs),
     )
+
+
+def _files(path: Path) -> list[str]:
+    """The names of the files, of which a parser can read the description."""
+    with zipfile.ZipFile(path) as archive, archive.open(DESCRIPTION) as source:
+        if len(source.read(LARGEST_DESCRIPTION + 1)) > LARGEST_DESCRIPTION:
+            most = f"{LARGEST_DESCRIPTION // MEBIBYTE} MiB"
+            raise UnpackingError(f"{DESCRIPTION} is larger than {most}")
+        return archive.namelist()
 
 
 def _read(path: Path) -> Any:
@@ -329,24 +338,6 @@ def unpack(path: Path, folder: Path) -> None:
                             "are unpacked"
                         )
                     file.write(chunk)
-
-
-def refuse_large_description(path: Path) -> None:
-    """Before a parser reads it.
-
-    Raises:
-        UnpackingError: it is larger than ``LARGEST_DESCRIPTION``.
-        KeyError: there is none.
-        OSError, zipfile.BadZipFile: as of ``zipfile``.
-    """
-    read = 0
-    with zipfile.ZipFile(path) as archive, archive.open(DESCRIPTION) as source:
-        while chunk := source.read(MEBIBYTE):
-            read += len(chunk)
-            if read > LARGEST_DESCRIPTION:
-                raise UnpackingError(
-                    f"{DESCRIPTION} is larger than {LARGEST_DESCRIPTION // MEBIBYTE} MiB"
-                )
 
 
 def _inside(name: str) -> PurePosixPath:
