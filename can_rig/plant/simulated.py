@@ -58,7 +58,7 @@ class SimulatedPlant:
         self._noise = NoiseColumns.of(scenario)
         self._senses = None
         if network is not None and network.witnesses:
-            self._senses = SensesByTick(scenario, network.witnesses, self._faults.latest_ticks)
+            self._senses = SensesByTick(scenario, network.witnesses, self._faults)
         self._told = (0.0, 0.0)  # the commands that came to the actuators in the last tick
         self.said: list[Said] = []
         """What the further sensors say at the tick of ``measure``."""
@@ -77,8 +77,6 @@ class SimulatedPlant:
             assert isinstance(self._plant, ChangingCar | ClassBehind)
             self._pushed_by = scenario.disturbance
             self._plant.push(Disturbances(scenario))
-        if self._senses is not None:
-            self._senses.change_faults(scenario, self._tick)
 
     def measure(self) -> float:
         """The sensor's present reading of D*, m/s²."""

@@ -6,7 +6,7 @@ Every loop takes the same compiled ``sense``, so each says the same bits.
 import math
 import struct
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -17,7 +17,7 @@ from can_rig.controllers.protocol import samples_in
 from can_rig.frames.codec import Hearing, MessageCodec, Transmitter
 from can_rig.frames.network import Network
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
-from can_rig.plant.faults.plant_faults import PlantFaults
+from can_rig.plant.faults.plant_faults import FaultsByTick
 from can_rig.plant.sensor import NoiseColumns
 from can_rig.scenario.sensor_settings import ECHOES, MEASURED, SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
@@ -30,7 +30,7 @@ KEPT_TICKS: Final = 8192
 """For which a loop keeps what the sensors have said."""
 
 BLOCK_TICKS: Final = 1024
-"""Ticks for which noise and faults are computed ahead."""
+"""Ticks for which noise is drawn ahead."""
 
 NOISE: Final = 1 << 20
 """Tells the generators of the sensors from those of turbulence."""
@@ -86,6 +86,11 @@ class Senses:
         columns = [each.next(ticks) for each in self._noise]
         return np.stack(columns, axis=1) if columns else np.zeros((ticks, 0))
 
+    def noise_by_tick(self) -> Iterator[FloatArray]:
+        """(sensors,), of the next tick, without an end."""
+        while True:
+            yield from self.noise(BLOCK_TICKS)
+
     def memory(self, latest_ticks: int) -> Any:
         """The memory of ``sense`` at rest, for readings late by faults of at most these ticks."""
         r = len(self)
@@ -99,37 +104,29 @@ class SensesByTick:
     Args:
         scenario: the run.
         codecs: the sensors' frames.
-        latest_ticks: the longest delay of a reading by a fault.
+        faults: those of the run.
     """
 
     def __init__(
-        self, scenario: Scenario, codecs: Sequence[MessageCodec], latest_ticks: int
+        self, scenario: Scenario, codecs: Sequence[MessageCodec], faults: FaultsByTick
     ) -> None:
         self._senses = Senses(scenario, codecs)
         self._echoed = [
             ECHOES.index(each.measures) if each.measures in ECHOES else 0
             for each in scenario.sensors
         ]
-        self._memory = self._senses.memory(latest_ticks)
+        self._memory = self._senses.memory(faults.latest_ticks)
         r = len(self._senses)
         self._values, self._samples = np.zeros(r), np.zeros(r, np.int64)
         self._states = np.zeros(r, np.int64)
-        self._faults = PlantFaults(scenario)
-        self._noise = self._bias = np.zeros((0, r))
-        self._rows = np.tile(HEALTHY, (1, r, 1))
-        self._first = 0
+        self._faults, self._noise = faults, self._senses.noise_by_tick()
         if r:  # compiles before the first tick
             nothing = np.zeros(r)
             sense(
-                0, nothing, nothing, nothing, nothing, self._rows[0], self._senses.constants,
-                self._senses.memory(latest_ticks), self._values, self._samples, self._states,
+                0, nothing, nothing, nothing, nothing, np.tile(HEALTHY, (r, 1)),
+                self._senses.constants, self._senses.memory(faults.latest_ticks), self._values,
+                self._samples, self._states,
             )  # fmt: skip
-
-    def change_faults(self, scenario: Scenario, tick: int) -> None:
-        """Take the faults of ``scenario`` from ``tick`` on."""
-        self._faults = PlantFaults(scenario)
-        kept = self._noise[tick - self._first :]
-        self._compute(tick, kept)
 
     def take(self, tick: int, truth: FloatArray, told: tuple[float, float]) -> list[Said]:
         """What the frames of ``tick`` say; ``tick`` is one more in every call.
@@ -139,28 +136,17 @@ class SensesByTick:
             truth: (sensors,), readings without errors.
             told: the commands that a lying echo says instead.
         """
-        at = tick - self._first
-        if at >= len(self._noise):
-            self._compute(tick, self._noise[:0])
-            at = 0
+        now = self._faults.at(tick)
         echoed = np.array([told[channel] for channel in self._echoed])
         sense(
-            tick, truth, echoed, self._bias[at], self._noise[at],
-            self._rows[at if len(self._rows) > 1 else 0], self._senses.constants, self._memory,
-            self._values, self._samples, self._states,
+            tick, truth, echoed, now.bias_of_witnesses, next(self._noise), now.rows_of_witnesses,
+            self._senses.constants, self._memory, self._values, self._samples, self._states,
         )  # fmt: skip
         return [
             Said(each, self._values.item(each), self._samples.item(each), state == VALID)
             for each, state in enumerate(self._states.tolist())
             if state != NOT_SENT
         ]
-
-    def _compute(self, tick: int, noise: FloatArray) -> None:
-        """Noise and faults of a block from ``tick`` on, of which some ``noise`` is known."""
-        self._first = tick
-        self._noise = np.concatenate([noise, self._senses.noise(BLOCK_TICKS - len(noise))])
-        ticks = range(tick, tick + BLOCK_TICKS)
-        self._bias, self._rows = self._faults.of_witnesses(ticks)
 
 
 class SensorFrames:
@@ -205,7 +191,7 @@ class Sensed:
     def __init__(self, scenario: Scenario, network: Network, plant: PlantRead) -> None:
         self._plant, self._tick = plant, 0
         codecs = network.witnesses
-        self._senses = SensesByTick(scenario, codecs, PlantFaults(scenario).latest_ticks)
+        self._senses = SensesByTick(scenario, codecs, FaultsByTick(scenario))
         self._frames = SensorFrames(network, FrameFaults(scenario, network))
         self._powered_up = partial(hearing_of, scenario, network)
         self.witnesses, self.follow = plant.witnesses, plant.follow

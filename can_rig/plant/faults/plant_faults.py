@@ -197,6 +197,8 @@ class Now(NamedTuple):
     bias: float
     rows: FloatArray | None
     """None in a run without distortions."""
+    bias_of_witnesses: FloatArray
+    rows_of_witnesses: FloatArray
 
 
 class FaultsByTick:
@@ -230,12 +232,15 @@ class FaultsByTick:
             # a later delay fault needs the values before its begin
             if self._changing and not len(rows):
                 rows = np.tile(HEALTHY, (len(ticks), len(PLACES), 1))
+            bias_of_witnesses, rows_of_witnesses = self._faults.of_witnesses(ticks)
             self._block = [
-                Now(left, bias, row)
-                for left, bias, row in zip(
+                Now(*each)
+                for each in zip(
                     map(tuple, self._faults.left(ticks).tolist()),
                     self._faults.bias(ticks).tolist(),
                     rows if len(rows) else [None] * len(ticks),
+                    bias_of_witnesses,
+                    list(rows_of_witnesses) * (len(ticks) // len(rows_of_witnesses)),
                     strict=True,
                 )
             ]
