@@ -115,7 +115,7 @@ def verdict_on(settings: list[str]) -> Verdict:
 def contradiction(scenario: Scenario, said: StabilityCheck) -> str:
     """Return the contradiction between the run and the verdict; empty without a contradiction."""
     network = network_of(scenario)
-    run = frameless(scenario, network)
+    run = frameless(scenario)
     place = target(scenario, network)
     table = controller_table(scenario, network)
     for name, command, limit, actuator in (
@@ -140,7 +140,7 @@ def astray(scenario: Scenario, measurement: FloatArray) -> float | None:
     if fault.kind == "sensor-biased" or fault.left > 0.0:
         return None if np.isfinite(measurement).all() else np.inf
     free = replace(scenario.healthy.noise_free, plant=scenario.model, limits=LimitSettings())
-    goal = frameless(free, network_of(scenario)).measurement
+    goal = frameless(free).measurement
     last = slice(-round(1.0 / scenario.tick_s), None)
     lost = scenario.loss.channel if scenario.loss.kind != "none" else ""
     place, plant = target(scenario, network_of(scenario)), continuous_plant(scenario.plant)

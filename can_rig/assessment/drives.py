@@ -25,10 +25,9 @@ from typing import Final
 import numpy as np
 
 from can_rig.drawing.names import CAR, Names, names_of, with_unit
-from can_rig.frames.network import Network
 from can_rig.plant.frameless import Inputs, frameless, frameless_loop, inputs_of
 from can_rig.scenario.box import in_box, uncertain
-from can_rig.scenario.build import continuous_plant, slowness, target
+from can_rig.scenario.build import continuous_plant, network_of, slowness, target
 from can_rig.scenario.controls import controller_table
 from can_rig.scenario.fault_settings import CHANNELS, Channel, FaultSettings
 from can_rig.scenario.plant_settings import PlantSettings
@@ -74,13 +73,13 @@ class Finding:
 class Drives:
     """Drives of one scenario; the table and where D* should go are computed once."""
 
-    def __init__(self, scenario: Scenario, network: Network) -> None:
+    def __init__(self, scenario: Scenario) -> None:
         tick_s = scenario.tick_s
         slow = slowness(scenario)
         healthy, lost = (max(round(s * slow / tick_s), FEWEST_TICKS) for s in (HEALTHY_S, LOST_S))
         self.scenario = scenario
         self._scenario = replace(scenario, fault=(), duration_s=(healthy + lost) * tick_s)
-        self._network = network
+        self._network = network_of(scenario)
         self._lost = healthy
         self._return_s, self._together_s = RETURN_S * slow, TOGETHER_S * slow
         self._known: dict[str, Inputs] = {}
@@ -96,7 +95,7 @@ class Drives:
         free = self._with(self.scenario.model)
         if not free.controller.is_class:  # a class may compute with its limits
             free = replace(free, limits=LimitSettings())
-        return frameless(free.noise_free, self._network).measurement
+        return frameless(free.noise_free).measurement
 
     def _with(self, plant: PlantSettings) -> Scenario:
         """The scenario with ``plant``, which is pushed as the scenario's own, if the form fits."""

@@ -35,10 +35,9 @@ from typing import Any
 import numpy as np
 
 from can_rig.drawing.names import names_of, with_unit
-from can_rig.frames.network import Network
 from can_rig.plant.frameless import with_files
 from can_rig.plant.nonlinear_car import car_of
-from can_rig.scenario.build import continuous_plant, target
+from can_rig.scenario.build import continuous_plant, network_of, target
 from can_rig.scenario.fault_settings import CHANNELS, FaultSettings
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.reference import reference
@@ -183,15 +182,15 @@ class ControlAuthority:
         return {**asdict(self), "enough": self.enough}
 
 
-@remembered(4, by=lambda scenario, _: with_files(scenario.undisturbed))
-def control_authority(scenario: Scenario, network: Network) -> ControlAuthority | None:
+@remembered(4, by=lambda scenario: with_files(scenario.undisturbed))
+def control_authority(scenario: Scenario) -> ControlAuthority | None:
     """The control authority of X_diff in ``scenario``; None for a plant other than a car."""
     if not scenario.plant.is_car:
         return None
     car = car_of(scenario.plant)
     force_per_mps2 = 1.0 / abs(continuous_plant(scenario.plant).g2.dc_gain)
     wanted = float(np.abs(reference(scenario)).max())
-    limit_n = float(target(scenario, network).limit_2)
+    limit_n = float(target(scenario, network_of(scenario)).limit_2)
     lateral_n = car.m * wanted
     return ControlAuthority(
         reference_mps2=wanted,
@@ -203,11 +202,11 @@ def control_authority(scenario: Scenario, network: Network) -> ControlAuthority 
     )
 
 
-def short_authority(scenario: Scenario, network: Network) -> Iterator[str]:
+def short_authority(scenario: Scenario) -> Iterator[str]:
     """A line for a plant other than a car whose second input cannot hold the reference."""
     output, lost, other = names_of(scenario.plant)
     wanted = float(np.abs(reference(scenario)).max())
-    limit = float(target(scenario, network).limit_2)
+    limit = float(target(scenario, network_of(scenario)).limit_2)
     held = abs(continuous_plant(scenario.plant).g2.dc_gain) * limit
     if not scenario.plant.is_car and held < wanted:
         yield (

@@ -35,7 +35,6 @@ from can_rig.assessment.limitations import (
 from can_rig.assessment.network_notes import frame_notes, signal_notes
 from can_rig.drawing.names import names_of, with_unit
 from can_rig.errors import ScenarioError
-from can_rig.frames.network import Network
 from can_rig.plant.frameless import linear_law_of
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import continuous_design, continuous_plant, network_of, slowness, target
@@ -168,13 +167,14 @@ def _for_people(time_s: float) -> str:
     return f"{time_s:.3g} s" if time_s >= 1.0 else f"{time_s * 1e3:.3g} ms"
 
 
-def decision_figures(scenario: Scenario, network: Network) -> DecisionFigures:
+def decision_figures(scenario: Scenario) -> DecisionFigures:
     """Compute the figures of ``scenario`` from a single drive without noise.
 
     Raises:
         ScenarioError: a design that cannot be made.
     """
-    table, plant = controller_table(scenario, network), continuous_plant(scenario.model)
+    network, plant = network_of(scenario), continuous_plant(scenario.model)
+    table = controller_table(scenario, network)
     n1, _ = plant.coprime(scenario.design.tau_q_s).numerators
     lost = round(scenario.loss.at_s / scenario.tick_s)
     ticks = min(scenario.ticks, lost + round(AFTER_S * slowness(scenario) / scenario.tick_s))
@@ -273,7 +273,7 @@ class StabilityCheck:
             yield "decision: none; design.supervision = 'none'"
         if self.control_authority is not None:
             yield str(self.control_authority)
-        yield from short_authority(scenario, network_of(scenario))
+        yield from short_authority(scenario)
         yield from self.network_notes
 
     @property
@@ -335,7 +335,7 @@ def check_stability(
     """
     if scenario.plant.is_own:
         SimulatedPlant(scenario)  # refuses what a run refuses
-    plant, network, ours = continuous_plant(scenario.plant), network_of(scenario), None
+    plant, ours = continuous_plant(scenario.plant), None
     decides = scenario.controller.is_ours and scenario.design.supervision == "full"
     margins_with: Callable[[Effectiveness], Margins]
     if scenario.controller.is_ours:
@@ -347,7 +347,7 @@ def check_stability(
     healthy, faulted = margins_with(HEALTHY), margins_with(DEAD[scenario.loss.channel])
     findings: list[Finding] = []
     if healthy.stable and faulted.stable:
-        drives = Drives(scenario, network)
+        drives = Drives(scenario)
         findings = own_findings(drives) + box_findings(drives, on_car)
     return StabilityCheck(
         scenario=scenario,
@@ -359,8 +359,8 @@ def check_stability(
             if ours is not None and ours.compensator.on_confirmation
             else None
         ),
-        decision=decision_figures(scenario, network) if decides else None,
-        control_authority=control_authority(scenario, network),
+        decision=decision_figures(scenario) if decides else None,
+        control_authority=control_authority(scenario),
         limitations=plant_limitations(scenario),
         findings=findings,
     )
@@ -387,7 +387,7 @@ def refuse_unstable(
             reason = _reason(scenario, name, radius)
             said = f"scenario {scenario.name}: {reason}"
             raise ScenarioError(f"{said}; --allow-unstable runs it as it is")
-    for finding in own_findings(Drives(scenario, network_of(scenario))):
+    for finding in own_findings(Drives(scenario)):
         if not finding.false_alarm:
             raise ScenarioError(
                 f"scenario {scenario.name}: not calm: {finding}; can-rig check says more, "

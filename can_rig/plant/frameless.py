@@ -138,9 +138,9 @@ def inputs_of(scenario: Scenario, network: Network) -> Inputs:
 
 
 def frameless(
-    scenario: Scenario, network: Network, of: Scheduled | None = None, inputs: Inputs | None = None
+    scenario: Scenario, of: Scheduled | None = None, inputs: Inputs | None = None
 ) -> Trace:
-    """Run ``scenario`` without a bus; round every signal like its frame on ``network``.
+    """Run ``scenario`` without a bus; round every signal like its frame.
 
     After an error in a plant class, every measured value is nan. ``of`` is the scenario's
     controller, ``inputs`` its inputs; callers pass known values to save time.
@@ -148,7 +148,7 @@ def frameless(
     Raises:
         ScenarioError: a scenario that cannot run.
     """
-    loop = frameless_loop(scenario, network, of, inputs)
+    loop = frameless_loop(scenario, network_of(scenario), of, inputs)
     loop.run()
     return loop.trace
 
@@ -164,7 +164,7 @@ def controller_inputs(scenario: Scenario) -> FloatArray:
     """
     network = network_of(scenario)
     of, inputs = controls(scenario, network), inputs_of(scenario, network)
-    trace = frameless(scenario, network, of, inputs)
+    trace = frameless(scenario, of, inputs)
     columns = [trace.reference, trace.measured]
     if of.schedule is not None:
         assert inputs.speed is not None

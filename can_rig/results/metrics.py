@@ -117,7 +117,7 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     settled = window.settled_after if window.after.any() else window.settled_before
     loses_torque = window.lost.any() and any(f.place == TORQUE for f in scenario.faults)
     lost_at = at_speed_of(scenario, scenario.loss)
-    authority = control_authority(lost_at, network_of(scenario)) if loses_torque else None
+    authority = control_authority(lost_at) if loses_torque else None
     alone = scenario.faults[0] if len(scenario.faults) == 1 else None
     bound = None if alone is None else unavoidable_deviation(scenario, signals, alone)
     unavoidable = None if bound is None else bound.deviation_mps2

@@ -24,7 +24,7 @@ from can_rig.assessment.limitations import unavoidable
 from can_rig.drawing.names import names_of, with_unit
 from can_rig.errors import ScenarioError, did_you_mean
 from can_rig.scenario.box import plant_of_box, uncertain, with_lags, with_values
-from can_rig.scenario.build import continuous_design, continuous_plant, network_of, slowness, target
+from can_rig.scenario.build import continuous_design, continuous_plant, slowness, target
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import DesignSettings, Scenario
@@ -509,7 +509,7 @@ def box_refusal(
     stepped = replace(scenario, reference=replace(scenario.reference, kind="step"))
     if continuous_plant(scenario.model).integrates:
         stepped = scenario  # at rest no command would show the loss
-    drives = Drives(stepped, network_of(scenario))
+    drives = Drives(stepped)
     for car in cars:
         plant = with_sensor_and_limits(car.settings, scenario.plant)
         found = _finding(drives, plant)
@@ -557,7 +557,7 @@ def _limit_at_fault(scenario: Scenario, plant: PlantSettings) -> Refusal:
         (Refusal.TORQUE_LIMIT, replace(own, torque_nm=None)),
         (Refusal.BOTH_LIMITS, replace(own, force_difference_n=None, torque_nm=None)),
     ):
-        drives = Drives(replace(scenario, limits=limits), network_of(scenario))
+        drives = Drives(replace(scenario, limits=limits))
         if _finding(drives, plant) is None:
             return reason
     return Refusal.REST

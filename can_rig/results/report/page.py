@@ -160,7 +160,7 @@ def _column(axes: list[Axes], scenario: Scenario, network: Network, signals: Sig
     _output(axes[0], scenario, names, signals, (beside, label))
     size = apart(beside, signals, scenario)
     _distance(axes[1], signals.time_s, size, network.feedback.lsb)
-    _commands(axes[2:4], scenario, network, signals)
+    _commands(axes[2:4], scenario, signals)
     _estimate(axes[4], signals)
     style.mark_faults(axes, scenario)
     return distance
@@ -289,7 +289,7 @@ def _distance(axis: Axes, time_s: FloatArray, values: FloatArray, floor: float) 
         style.logarithmic(axis, size, floor)
 
 
-def _commands(axes: list[Axes], scenario: Scenario, network: Network, signals: Signals) -> None:
+def _commands(axes: list[Axes], scenario: Scenario, signals: Signals) -> None:
     """Both commands; for a failing channel, also the applied command."""
     names, lost = names_of(scenario.plant), []
     if windows(scenario, signals).after.any():
@@ -307,12 +307,12 @@ def _commands(axes: list[Axes], scenario: Scenario, network: Network, signals: S
         else:
             axis.plot(*curve, color=style.ORANGE, lw=1.0)
         style.clip_spikes(axis, *curve, name.unit)
-    _control_authority(axes[1], scenario, network, signals)
+    _control_authority(axes[1], scenario, signals)
 
 
-def _control_authority(axis: Axes, scenario: Scenario, network: Network, signals: Signals) -> None:
+def _control_authority(axis: Axes, scenario: Scenario, signals: Signals) -> None:
     """The limit of actuator and tires, if X_diff comes near."""
-    authority = control_authority(at_speed_of(scenario, scenario.loss), network)
+    authority = control_authority(at_speed_of(scenario, scenario.loss))
     force = np.abs(signals.force_difference_n)
     if authority is None or not np.isfinite(force).any():
         return

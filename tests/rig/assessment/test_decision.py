@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.assessment.stability import decision_figures
+from can_rig.assessment.stability import decision_figures as figures
 from can_rig.plant.frameless import frameless
-from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState, Verdict
 
@@ -18,15 +17,11 @@ SEEDS = 31
 CALM = "budget.disturbance_mps2=0"
 
 
-def figures(scenario: Scenario):
-    return decision_figures(scenario, network_of(scenario))
-
-
 def delays_s(scenario: Scenario) -> np.ndarray:
     at = round(scenario.loss.at_s / scenario.tick_s)
     found = []
     for seed in range(SEEDS):
-        state = frameless(replace(scenario, seed=seed), network_of(scenario)).fault_state[at:]
+        state = frameless(replace(scenario, seed=seed)).fault_state[at:]
         found.append(float(np.flatnonzero(state == FaultState.CONFIRMED)[0]) * scenario.tick_s)
     return np.array(found)
 
@@ -94,7 +89,7 @@ def test_the_least_torque_is_the_one_below_which_the_state_is_cannot_tell(distur
     for times, state in ((0.5, FaultState.CANNOT_TELL), (2.0, FaultState.CLEAR)):
         reference = replace(quiet.reference, amplitude_mps2=times * least_nm / STEADY_NM)
         driven = replace(quiet, model=scenario.model, reference=reference)
-        assert frameless(driven, network_of(driven)).fault_state[-1] == state
+        assert frameless(driven).fault_state[-1] == state
 
 
 def test_half_of_the_torque_needs_twice_the_torque_and_the_words_say_so():
@@ -122,10 +117,9 @@ def test_the_return_of_a_part_is_seen_in_a_bend_in_which_nothing_new_was_learnt(
     """Whatever the noise: the candidate that runs when the channel returns is of that time."""
     words = [f"fault.left={left}", "fault.at_s=4.7", "fault.for_s=4", "duration_s=10"]
     scenario = load("default", words)
-    network = network_of(scenario)
     back, found = 8700, 0
     for seed in range(6):
-        trace = frameless(replace(scenario, seed=seed), network)
+        trace = frameless(replace(scenario, seed=seed))
         confirmed = trace.fault_state == FaultState.CONFIRMED
         found += int(confirmed[back])
         assert not confirmed[back + 300 :].any()
@@ -139,7 +133,7 @@ def test_an_offset_that_ends_leaves_no_loss_and_no_verdict(channel, offset, at_s
     words = ["reference.kind=sine", "reference.frequency_rad_per_s=2", "duration_s=12"]
     words += ["fault.kind=actuator-offset", f"fault.channel={channel}", f"fault.offset={offset}"]
     scenario = load("default", [*words, f"fault.at_s={at_s}", "fault.for_s=0.3"])
-    trace = frameless(scenario, network_of(scenario))
+    trace = frameless(scenario)
     begun, over = round(at_s / scenario.tick_s), round((at_s + 3.0) / scenario.tick_s)
     assert trace.verdict[begun:over].any()
     harmless = Verdict.NOTHING, Verdict.ANOTHER_CAR  # another car changes no command

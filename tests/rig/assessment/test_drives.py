@@ -15,7 +15,6 @@ from can_rig.assessment.stability import check_stability, refuse_unstable
 from can_rig.errors import ScenarioError
 from can_rig.plant.frameless import frameless
 from can_rig.scenario.box import CAR as UNCERTAIN
-from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import Simulation
 from firmware_model.design import plants
@@ -35,7 +34,7 @@ OTHER_CAR = {  # a small car; some 40 % off the thesis's
 
 
 def findings_of(scenario: Scenario) -> list[Finding]:
-    return own_findings(Drives(scenario, network_of(scenario)))
+    return own_findings(Drives(scenario))
 
 
 def with_other_car() -> Scenario:
@@ -53,7 +52,7 @@ def test_a_loop_that_swings_in_its_limits_is_found_though_it_is_stable():
     assert result.verdict.endswith(" more)")
     with pytest.raises(ScenarioError, match=r"not calm: this car: healthy: .*--allow-unstable"):
         refuse_unstable(scenario)
-    healthy = frameless(scenario, network_of(scenario)).measurement[5000:9000]
+    healthy = frameless(scenario).measurement[5000:9000]
     assert np.ptp(healthy) > 1.0  # m/s², where 1 m/s² is asked for and the noise is 0.005
 
 
@@ -71,7 +70,7 @@ def test_a_calm_loop_is_calm(name, settings):
 def test_a_drive_does_not_end_before_what_is_away_could_return():
     """Satellites that lose their sweep after the loss: runs of 120 s end 1.4 and 4.7 rad away."""
     scenario = load("satellite", ["budget.box=0.3"])
-    found = box_findings(Drives(scenario, network_of(scenario)))
+    found = box_findings(Drives(scenario))
     assert found
     assert all("dead" in each.text and "is away" in each.text for each in found)
 
@@ -80,7 +79,7 @@ def test_a_car_outside_the_box_is_named_for_its_false_alarm():
     scenario = with_other_car()
     (found,) = findings_of(scenario)
     assert (found.car, found.false_alarm) == ("this car", True)
-    states = frameless(scenario, network_of(scenario)).fault_state[:10_000]
+    states = frameless(scenario).fault_state[:10_000]
     confirmed = np.flatnonzero(states == FaultState.CONFIRMED)
     assert str(found) == f"this car: false alarm after {confirmed[0] * 1e-3:.3g} s"
     refuse_unstable(scenario)  # a run with it is of use: it shows the false alarm
@@ -88,7 +87,7 @@ def test_a_car_outside_the_box_is_named_for_its_false_alarm():
 
 def test_the_label_of_another_car_is_in_what_is_said_of_it():
     scenario = with_other_car()
-    drives = Drives(scenario, network_of(scenario))
+    drives = Drives(scenario)
     assert [found.car for found in drives.findings("small", scenario.plant, "torque dead")] == [
         "small"
     ]
@@ -99,7 +98,7 @@ def test_a_demand_beyond_the_authority_is_no_finding():
     """2989 N hold 1 m/s² without the torque."""
     weak = load("ideal", ["limits.force_difference_n=2900"])
     assert findings_of(weak) == []
-    trace = frameless(weak, network_of(weak))
+    trace = frameless(weak)
     assert abs(trace.error[-1]) > 0.02  # a lasting error beyond the actuator's limit
     assert check_stability(weak).stable
 
@@ -124,12 +123,11 @@ def test_the_cars_of_the_box_are_its_vertices_and_some_from_its_inside():
 def test_every_car_of_the_box_is_driven_and_said_to_be():
     told: list[tuple[int, int]] = []
     scenario = load("ideal")
-    network = network_of(scenario)
-    assert box_findings(Drives(scenario, network), lambda done, of: told.append((done, of))) == []
+    assert box_findings(Drives(scenario), lambda done, of: told.append((done, of))) == []
     assert told == [(done, 24) for done in range(1, 25)]
     trusting = load("ideal", ["budget.box=0"])
-    assert box_findings(Drives(trusting, network)) == []
-    found = box_findings(Drives(with_other_car(), network))
+    assert box_findings(Drives(trusting)) == []
+    found = box_findings(Drives(with_other_car()))
     assert found
     assert all(finding.car.startswith("mass_kg") for finding in found)
 
@@ -142,7 +140,7 @@ def test_every_car_of_the_box_is_made_once(monkeypatch):
         return make(parameters, variant)
 
     monkeypatch.setattr(plants, "steer_by_wire", counted)
-    box_findings(Drives(scenario, network_of(scenario)))
+    box_findings(Drives(scenario))
     cars = [car for _, car in box_cars(scenario)]
     assert len(cars) == 40
     assert [made.count(car) for car in cars] == [1] * len(cars)
@@ -166,13 +164,13 @@ def test_the_traces_of_few_cars_are_kept_at_once(monkeypatch):
 
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     scenario = load("default")
-    box_findings(Counted(scenario, network_of(scenario)))
+    box_findings(Counted(scenario))
     assert (kept, most) == (0, 3)
 
 
 def test_a_plant_that_fails_is_not_merely_away():
     scenario = load("ideal", [FAILING, "plant.parameters.calls=899"])
-    drives = Drives(scenario, network_of(scenario))
+    drives = Drives(scenario)
     *_, finding = drives.findings("this car", scenario.plant, "torque dead")
     said = re.fullmatch(r"this car: healthy: .*failing:Failing fails at (\S+) s", str(finding))
     assert said
@@ -191,6 +189,6 @@ PUSHED = (
 def test_a_push_on_a_plant_by_numbers_is_checked_with_model_and_tuned_plants(model):
     """The settings of a model say no push, and a model of another order cannot have the plant's."""
     scenario = load("thesis-step", [*PUSHED, f"model={model}"])
-    drives = Drives(scenario, network_of(scenario))
+    drives = Drives(scenario)
     for plant in (scenario.plant, scenario.model):
         assert list(drives.findings("", plant, "torque dead")) == []

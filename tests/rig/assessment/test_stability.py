@@ -16,7 +16,7 @@ from can_rig.assessment.stability import check_stability, refuse_unstable, stabl
 from can_rig.errors import ScenarioError
 from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.scenario import shipped
-from can_rig.scenario.build import continuous_plant, network_of
+from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
 from firmware_model.design.continuous_design import DesignSpecification, design
@@ -215,7 +215,7 @@ def test_how_thin_a_margin_may_be_is_a_key():
 
 def of(*settings: str, name: str = "default") -> ControlAuthority:
     scenario = load(name, settings)
-    found = control_authority(scenario, network_of(scenario))
+    found = control_authority(scenario)
     assert found is not None
     return found
 
@@ -266,7 +266,7 @@ def test_it_is_the_largest_of_the_reference_that_counts():
 
 def test_chapter_2_has_no_tires():
     scenario = load("chapter-2")
-    assert control_authority(scenario, network_of(scenario)) is None
+    assert control_authority(scenario) is None
 
 
 STEADY_NM = 42.5  # for 1 m/s², docs/design.md

@@ -15,7 +15,7 @@ from can_rig.assessment.tuning.search import tune
 from can_rig.errors import ScenarioError
 from can_rig.plant.frameless import frameless
 from can_rig.results.counterfactual import signals_without_log
-from can_rig.scenario.build import continuous_plant, network_of
+from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.controls import controller_table
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
@@ -123,7 +123,7 @@ def test_another_pendulum_is_not_taken_for_a_loss(gains):
     """With ``budget.box = 0`` these are, and the second and third fall after the loss."""
     own = ["duration_s=5", "fault.at_s=3.5", "budget.box=0.2", "model.b=[[0, 0], [4, 2]]"]
     scenario = load("pendulum", [*own, f"plant.b=[[0, 0], [{4 * gains[0]}, {2 * gains[1]}]]"])
-    trace = frameless(scenario, network_of(scenario))
+    trace = frameless(scenario)
     confirmed = np.flatnonzero(trace.fault_state == FaultState.CONFIRMED)
     assert 3.5 < confirmed[0] * scenario.tick_s < 3.6
     assert np.abs(trace.error[-500:]).max() < 0.1 * scenario.reference.amplitude_mps2

@@ -41,7 +41,7 @@ def test_a_run_is_what_scipy_makes_of_its_commands(tmp_path, name):
     confirmed = np.flatnonzero(signals.fault_state == FaultState.CONFIRMED)
     assert lost < confirmed[0] < lost + 2.0 / scenario.tick_s
     assert np.abs(signals.error_mps2[-10:]).max() < 0.1 * scenario.reference.amplitude_mps2
-    trace = frameless(scenario, network_of(scenario))
+    trace = frameless(scenario)
     np.testing.assert_allclose(signals.dstar_mps2, trace.measurement, atol=6e-9)  # half an LSB
 
 

@@ -45,7 +45,7 @@ def test_the_loop_of_a_run_is_the_one_that_is_made_for_it_alone():
     made = plan(campaign_of("mixed", MIXED))
     for run in range(made.runs):
         scenario = made.scenario_of(run)
-        found, alone = signals_without_log(scenario), frameless(scenario, network_of(scenario))
+        found, alone = signals_without_log(scenario), frameless(scenario)
         np.testing.assert_array_equal(found.dstar_mps2, alone.measured)
         np.testing.assert_array_equal(found.reference_mps2, alone.reference)
 

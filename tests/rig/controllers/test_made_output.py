@@ -46,7 +46,7 @@ def test_every_loop_has_the_same_bytes(tmp_path, precision):
     assert all(other == first for other in others)
     network = network_of(scenario)
     seen = read_signals(logs[0], network, scenario.tick_s)
-    trace = frameless(scenario, network)
+    trace = frameless(scenario)
     np.testing.assert_array_equal(seen.torque_nm[:-1], trace.command_1[:-1])
     assert 2 in seen.fault_state  # CONFIRMED
     assert np.isnan(seen.dstar_mps2).all()
@@ -58,7 +58,7 @@ def test_no_loop_has_a_sensor_of_the_output_in_a_healthy_run_either(tmp_path):
     log, other = (logged(tmp_path, scenario, each) for each in ("none", "python"))
     assert log.read_bytes() == other.read_bytes()
     seen = read_signals(log, network, scenario.tick_s)
-    trace = frameless(scenario, network)
+    trace = frameless(scenario)
     np.testing.assert_array_equal(seen.torque_nm, trace.command_1)
     assert np.isnan(trace.measured).all()
 
@@ -84,7 +84,7 @@ def test_a_wrong_sensor_is_a_wrong_output():
     """Both sensors of one car: a bias of either sensor and a lost actuator look alike."""
     fault = "fault={kind='sensor-biased', channel='yaw-rate', at_s=2, offset=0.05}"
     scenario = made(fault)
-    trace = frameless(scenario, network_of(scenario))
+    trace = frameless(scenario)
     off = (1 - scenario.plant.lateral_weight) * scenario.plant.speed_mps * 0.05
     settled = slice(-50, None)
     error = trace.measurement[settled].mean() - trace.reference[settled].mean()

@@ -88,7 +88,7 @@ def test_the_law_in_c_and_the_loop_without_a_bus_leave_the_same(log, tmp_path):
         own = tmp_path / f"{kind}.log"
         on_a_bus(SCENARIO, own, controller_of(kind, SCENARIO))
         assert own.read_bytes() == log.read_bytes()
-    trace = frameless(SCENARIO, NETWORK)
+    trace = frameless(SCENARIO)
     assert trace.fault_state[-1] == 2
     assert (
         trace.measured.tolist() == read_signals(log, NETWORK, SCENARIO.tick_s).dstar_mps2.tolist()
@@ -174,7 +174,7 @@ def test_a_node_of_one_speed_and_a_node_of_many_differ_only_where_the_speed_does
     still = ["budget.disturbance_mps2=0", "duration_s=0.3", "fault.at_s=0.1", "reference.kind=sine"]
     alone = load("default", [*still, "plant.speed_mps=13"])
     told = load("default", [*still, "drive.speed_mps=13", "design.speeds_mps=[12, 13]"])
-    ours, theirs = (frameless(each, network_of(each)) for each in (told, alone))
+    ours, theirs = (frameless(each) for each in (told, alone))
     np.testing.assert_allclose(ours.measurement, theirs.measurement, atol=2e-6)
     np.testing.assert_allclose(ours.command_1, theirs.command_1, atol=2e-2)
 

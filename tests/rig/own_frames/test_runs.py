@@ -89,7 +89,7 @@ def test_it_is_the_run_without_frames(bits, precision, tmp_path):
     words += options(dbc, names)
     _, signals = run(tmp_path, words)
     scenario = load("default", words)
-    trace = frameless(scenario, network_of(scenario))
+    trace = frameless(scenario)
     np.testing.assert_array_equal(trace.measured, signals.dstar_mps2)
     np.testing.assert_array_equal(trace.command_1, signals.torque_nm)
     np.testing.assert_array_equal(trace.command_2, signals.force_difference_n)

@@ -7,7 +7,6 @@ from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
 from can_rig.assessment.resolve import load
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.frameless import frameless
-from can_rig.scenario.build import network_of
 from firmware_model.law.status import FaultState
 
 LOST_S = 2.0
@@ -47,7 +46,7 @@ def scenario(model, *changes, base="ideal"):
 )
 def test_a_loss_is_confirmed_and_compensated_without_an_alarm_before(model, base):
     chosen = scenario(model, base=base)
-    trace = frameless(chosen, network_of(chosen))
+    trace = frameless(chosen)
     lost = trace.time_s >= LOST_S
     assert not np.isin(trace.fault_state[~lost], (FaultState.SUSPECTED, FaultState.CONFIRMED)).any()
     assert trace.time_s[lost][trace.fault_state[lost] == FaultState.CONFIRMED][0] < LOST_S + 0.1

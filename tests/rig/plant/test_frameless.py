@@ -35,7 +35,7 @@ def compared(folder: Path, name: str, *settings: str) -> Trace:
     bus, loop = read_signals(log, network, scenario.tick_s), signals_without_log(scenario)
     for column in ON_THE_BUS:
         np.testing.assert_array_equal(getattr(bus, column), getattr(loop, column), column)
-    trace = frameless(scenario, network)
+    trace = frameless(scenario)
     assert len(bus) == scenario.ticks == len(trace.measured)
     np.testing.assert_array_equal(trace.measured, bus.dstar_mps2)
     if not any(fault.needs_a_bus for fault in scenario.faults):
@@ -159,18 +159,18 @@ def test_a_table_and_inputs_of_one_s_own_are_used():
     network = network_of(scenario)
     inputs = inputs_of(scenario, network)
     zero = dataclasses.replace(inputs, reference=0.0 * inputs.reference)
-    assert not frameless(scenario, network, inputs=zero).command_1.any()
+    assert not frameless(scenario, inputs=zero).command_1.any()
     other = load("thesis-step", [*short, "design.tau_s=0.02"])
-    slower = frameless(scenario, network, Scheduled(None, controller_table(other, network)))
-    assert slower.command_1.tolist() == frameless(other, network).command_1.tolist()
-    assert slower.command_1.tolist() != frameless(scenario, network).command_1.tolist()
+    slower = frameless(scenario, Scheduled(None, controller_table(other, network)))
+    assert slower.command_1.tolist() == frameless(other).command_1.tolist()
+    assert slower.command_1.tolist() != frameless(scenario).command_1.tolist()
 
 
 def test_a_plant_that_has_failed_says_nothing_any_more_and_the_controller_holds():
     """Not even where its next call would have answered."""
     failing = [FAILING, "plant.parameters.calls=18", "design.tau_s=0.05", "design.tau_q_s=0.05"]
     scenario = load("thesis-step", ["duration_s=0.04", "reference.kind=sine", *failing])
-    trace = frameless(scenario, network_of(scenario))
+    trace = frameless(scenario)
     assert np.isfinite(trace.measured).tolist() == [True] * 19 + [False] * 21
     assert (trace.mode[19:] == Mode.BLIND).all()
     assert (trace.command_1[19:] == trace.command_1[18]).all()

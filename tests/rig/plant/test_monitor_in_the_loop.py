@@ -11,20 +11,13 @@ from can_rig.campaigns.settings import read_campaign
 from can_rig.plant.frameless import frameless
 from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.scenario import shipped
-from can_rig.scenario.build import network_of
 from can_rig.scenario.plant_settings import PlantSettings
-from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.simulation import Trace
 from firmware_model.law.status import Verdict
 from firmware_model.law.structs import FloatArray
 
 MONITOR = [verdict for verdict in Verdict if verdict > Verdict.CANNOT_BE_TOLD]
 LONGEST_S = 40.0
 HEALTHY = {"fault.kind": "none", "duration_s": 14.0}
-
-
-def run_of(scenario: Scenario) -> Trace:
-    return frameless(scenario, network_of(scenario))
 
 
 class SpringyColumn(NonlinearCar):
@@ -59,12 +52,12 @@ def test_no_shipped_scenario_is_stopped(name):
     scenario = load_scenario(name, {})
     if scenario.duration_s > LONGEST_S:
         scenario = load_scenario(name, {"duration_s": LONGEST_S})
-    assert not np.isin(run_of(scenario).verdict, MONITOR).any()
+    assert not np.isin(frameless(scenario).verdict, MONITOR).any()
 
 
 def test_no_weather_stops_a_car_that_follows():
     drawn = plan(read_campaign("weather", runs=30, seed=77))
-    traces = [run_of(drawn.scenario_of(run)) for run in range(30)]
+    traces = [frameless(drawn.scenario_of(run)) for run in range(30)]
     stopped = [np.isin(trace.verdict, MONITOR).any() for trace in traces]
     astray = [np.abs(trace.error).max() > 1.0 for trace in traces]
     assert stopped == astray
@@ -81,7 +74,7 @@ def test_no_weather_stops_a_car_that_follows():
 def test_a_car_on_ice_is_bounded(name, changes, free, bound):
     ice = {"kind": "friction", "front": 0.3, "rear": 0.3, "at_s": 6.0}
     with_and_without = [
-        run_of(
+        frameless(
             load_scenario(name, {**HEALTHY, **changes, "disturbance": ice, "limits.monitor": on})
         )
         for on in (True, False)
@@ -99,8 +92,8 @@ def test_a_column_that_swings_comes_to_rest(name):
         "duration_s": 4.0,
         "plant.kind": f"{__name__}:SpringyColumn",
     }
-    bounded = run_of(load_scenario(name, column))
-    free = run_of(load_scenario(name, {**column, "limits.monitor": False}))
+    bounded = frameless(load_scenario(name, column))
+    free = frameless(load_scenario(name, {**column, "limits.monitor": False}))
     late = bounded.time_s > 3.0
     assert max(bounded.verdict) in (Verdict.SWINGING, Verdict.ASTRAY)
     assert np.abs(bounded.measurement[late]).max() < 0.5

@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 from can_rig.assessment.resolve import load
 from can_rig.plant.frameless import frameless
 from can_rig.plant.nonlinear_car import NonlinearCar, _advance, _rates, brush, car_of
-from can_rig.scenario.build import network_of
 from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.changing_plant import changing_plant, follow_changing
 from firmware_model.design.actuator_dynamics import IDEAL
@@ -301,7 +300,7 @@ SHORT = ["duration_s=4.5", "fault.at_s=2.0"]
 
 def driven(*settings):
     scenario = load("nonlinear-car", [*SHORT, *settings])
-    trace = frameless(scenario, network_of(scenario))
+    trace = frameless(scenario)
     return trace, np.abs(1.0 - trace.measured)
 
 

@@ -11,7 +11,6 @@ from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.frameless import frameless
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.metrics import harm_metrics, metrics_of
-from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState, Verdict
 
@@ -21,7 +20,7 @@ GUST = 'disturbance={kind="gust", at_s=0.5, for_s=2, force_n=600, arm_m=0.3}'
 
 
 def output(scenario: Scenario) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    return frameless(scenario, network_of(scenario)).measurement
+    return frameless(scenario).measurement
 
 
 @pytest.mark.parametrize("settings", [[], [GUST, "fault.kind=none"]])

@@ -124,9 +124,7 @@ def test_no_verdict_takes_away_what_compensates_a_lost_torque(name, changes, kin
         of = controls(scenario, network)
         unsure = of.table.copy()
         unsure["hypotheses"]["ahead"] = unsure["hypotheses"]["sensor_ahead"] = np.inf
-        law, without = (
-            frameless(scenario, network, Scheduled(None, table)) for table in (of.table, unsure)
-        )
+        law, without = (frameless(scenario, Scheduled(None, table)) for table in (of.table, unsure))
         assert Verdict.FORCE_LOST not in law.verdict
         np.testing.assert_array_equal(law.measurement, without.measurement)
 

@@ -10,7 +10,6 @@ from can_rig.assessment.resolve import load
 from can_rig.plant.frameless import frameless
 from can_rig.scenario import shipped
 from can_rig.scenario.box import CAR as UNCERTAIN, in_box
-from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState, Mode
@@ -22,12 +21,12 @@ L9 = ("0000", "0112", "0221", "1011", "1120", "1202", "2022", "2101", "2210")
 
 
 def alarms(scenario: Scenario) -> int:
-    state = frameless(scenario.healthy, network_of(scenario)).fault_state
+    state = frameless(scenario.healthy).fault_state
     return int((state == FaultState.CONFIRMED).sum())
 
 
 def confirmed_after_s(scenario: Scenario) -> float:
-    state = frameless(scenario, network_of(scenario)).fault_state
+    state = frameless(scenario).fault_state
     at = round(scenario.loss.at_s / scenario.tick_s)
     assert not (state[:at] == FaultState.CONFIRMED).any()
     return float(np.flatnonzero(state[at:] == FaultState.CONFIRMED)[0]) * scenario.tick_s
@@ -70,7 +69,7 @@ def test_what_is_lost_stays_lost_whatever_the_noise(name):
     scenario = load(name)
     at = round(scenario.loss.at_s / scenario.tick_s)
     for seed in range(15):
-        trace = frameless(replace(scenario, seed=seed), network_of(scenario))
+        trace = frameless(replace(scenario, seed=seed))
         after = trace.fault_state[at:]
         assert stays_lost(after), f"seed {seed}"
         assert np.abs(trace.error[-len(after) // 2 :]).max() < 0.1, f"seed {seed}"
@@ -82,14 +81,14 @@ def test_half_of_the_torque_stays_lost_in_a_slow_car_with_soft_front_tires(rear)
     scenario = load("partial-loss", ["duration_s=12"])
     shares = dict(zip(UNCERTAIN, (0.0, -0.2, rear, -0.2), strict=True))
     car = replace(scenario, plant=in_box(scenario.plant, shares))
-    state = frameless(car, network_of(car)).fault_state
+    state = frameless(car).fault_state
     assert stays_lost(state[round(scenario.loss.at_s / scenario.tick_s) :])
 
 
 def test_the_wltc_has_every_mode_and_a_loss_stays_known_through_its_stops():
     beside = ["fault.1.kind=frames-missing", "fault.1.channel=sensor", "fault.1.for_s=2"]
     scenario = load("wltc", ["fault.0.at_s=885", *beside, "fault.1.at_s=1100"])
-    trace = frameless(scenario, network_of(scenario))
+    trace = frameless(scenario)
     mode, speed = trace.mode, speeds_at_ticks(scenario)
     assert (mode[speed < 1.89] == Mode.STANDBY).all()
     assert (mode[speed > 2.01] != Mode.STANDBY).all()
