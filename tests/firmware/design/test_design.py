@@ -112,6 +112,8 @@ def test_what_is_not_asked_for_is_not_refused():
      (_plant([1, 3], [2], [1, 3, 2]), {}, ImproperError, "alpha must be at least 2"),
      (_plant([1, 3], [1, -1], [1, 1, -2]), {}, UnstablePlantError,
       r"input 2 does not reach the unstable mode at 1 rad/s"),
+     (_plant([1, -1], [2, -2], [1, 1, -2]), {}, UnstablePlantError,
+      "no input moves the output through the unstable mode at 1 rad/s"),
      (_plant([1, 3], [1, 4], [1, 1, -2]), {"feedback": False}, UnstablePlantError,
       "pole at 1.* without feedback"),
      (_plant([1, 0], [1, 3], [1, 3, 2]), {}, AxisZeroError, "G1 has a zero at 0"),
