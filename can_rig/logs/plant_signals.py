@@ -32,7 +32,7 @@ def read_plant_signals(log: Path, first_tick: int, ticks: int) -> PlantSignals:
         path = stored(path)
         if not path.is_file():
             return {}
-    except OSError:  # longer than a name may be, so there is none
+    except OSError:  # no file has a name of this length
         return {}
     columns: PlantSignals = {}
     try:

@@ -511,7 +511,7 @@ class PlantSettings(VehicleParameters):
 
 
 def not_of(kind: str, key: str, has: str, beside: str = "") -> ValueError:
-    """The refusal of a key that this kind of plant or controller lacks, and another one has."""
+    """Return the refusal of a key that only another kind of plant or controller has."""
     return ValueError(f"{key}: must not be set{beside} for kind = {kind!r}; {has} has it")
 
 
