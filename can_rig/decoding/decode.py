@@ -402,9 +402,5 @@ def _require_names(
     for wanted, there, kind in ((messages, known, "message"), (signals, inside, "signal")):
         for name in wanted or ():
             if name not in there:
-                by_lower = {each.lower(): each for each in there}
-                hints = [by_lower[key] for key in get_close_matches(name.lower(), by_lower, 3, 0.5)]
-                if not hints:  # of the rig's messages each has a checksum, a counter and a tick
-                    often = Counter(there)
-                    hints = [n for n in there if often[n] == 1 and "." not in n][:6] or ["none"]
-                raise DbcError(f"no {kind} {name} in the database; it has {', '.join(hints)}, …")
+                near = get_close_matches(name, there, 3, 0.5) or sorted(set(there))[:5]
+                raise DbcError(f"no {kind} {name} in the database; it has {', '.join(near)}, …")

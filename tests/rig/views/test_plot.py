@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from can_rig.cli.plot import resolve
-from can_rig.decoding.decode import decode_log
+from can_rig.decoding.decode import Decoder, decode_log
 from can_rig.drawing.thinning import MAX_POINTS, thinned
 from can_rig.errors import DbcError
 from can_rig.frames.databases import load_database
@@ -52,7 +52,7 @@ def test_any_dbc_any_log(car):
     assert Path("car.png").read_bytes().startswith(b"\x89PNG")
     for arguments, words in (
         (("State", "--dbc", "car.dbc"), "car.png: exists"),
-        (("Temprature", "--dbc", "car.dbc", "--force"), "it has Temperature, "),
+        (("Temprature", "--dbc", "car.dbc", "--force"), "did you mean Temperature or"),
         (("Speed", "--dbc", "car.dbc", "--force"), "must be ENGINE.Speed or WHEEL.Speed"),
         (("State", "--dbc", "car.dbc", "--force", "--channel", "can9"), "the log has can0"),
         (("SteerTorque", "--force"), "no frame of STEER_TORQUE_CMD"),
@@ -121,12 +121,12 @@ def test_a_long_signal_keeps_every_peak(values):
 
 
 def test_names():
-    database = load_database(DBC / "steer_by_wire.dbc")
-    assert resolve(database, "DStar") == ("DSTAR_FEEDBACK", "DStar")
-    assert resolve(database, "CONTROLLER_STATUS.Tick") == ("CONTROLLER_STATUS", "Tick")
+    messages = Decoder(load_database(DBC / "steer_by_wire.dbc")).messages
+    assert resolve(messages, "DStar") == ("DSTAR_FEEDBACK", "DStar")
+    assert resolve(messages, "CONTROLLER_STATUS.Tick") == ("CONTROLLER_STATUS", "Tick")
     with pytest.raises(DbcError, match="more than one message"):
-        resolve(database, "Tick")
-    with pytest.raises(DbcError, match="it has DStar"):
-        resolve(database, "dstar")
+        resolve(messages, "Tick")
+    with pytest.raises(DbcError, match="did you mean DStar"):
+        resolve(messages, "dstar")
     with pytest.raises(DbcError, match="it has VehicleSpeed, YawRate, "):
-        resolve(database, "qqqq")
+        resolve(messages, "qqqq")
