@@ -114,7 +114,7 @@ def silence() -> None:
 
 
 def leave_out() -> None:
-    """Hide dependencies in this process alone; programs that import ``can_rig`` see them all."""
+    """Hide dependencies in this process; a program that imports ``can_rig`` sees them all."""
     sys.meta_path.insert(0, _WithoutThem)
 
 

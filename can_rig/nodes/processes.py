@@ -208,12 +208,7 @@ def in_another_process(
             return
         if "error" in check.said:
             raise check.said["error"]
-        if status is None:
-            end = f"did not answer for {silence_s:g} s"
-        elif status < 0:
-            end = f"was ended by {signal.Signals(-status).name}"
-        else:
-            end = f"ended with exit status {status}"
+        end = f"did not answer for {silence_s:g} s" if status is None else _ending(status)
         raise SilentNodeError(f"the check before the run, which calls {called}, {end}")
     finally:
         check.kill()
@@ -253,6 +248,13 @@ def _watch(
         on_tick(processes[-1].ticks)
 
 
+def _ending(status: int) -> str:
+    """How a process with this exit status ended."""
+    if status < 0:
+        return f"was ended by {signal.Signals(-status).name}"
+    return f"ended with exit status {status}"
+
+
 def _conclude(processes: list[NodeProcess]) -> NodeSummary:
     """The summary of a run after all nodes ended, or the error of the first node that failed."""
     for each in sorted(processes, key=lambda each: each.ended_s):
@@ -264,12 +266,11 @@ def _conclude(processes: list[NodeProcess]) -> NodeSummary:
             raise type(error)(f"{each.name} node: {error}")
         if status is None:
             raise SilentNodeError(f"the {each.name} node does not end")
-        if status < 0:
+        if status < 0:  # the number of ticks is reported at times
             raise SilentNodeError(
-                f"the {each.name} node was ended by {signal.Signals(-status).name} "
-                f"after {processes[-1].ticks} ticks or more"  # reported at times
+                f"the {each.name} node {_ending(status)} after {processes[-1].ticks} ticks or more"
             )
-        raise SilentNodeError(f"{each.name} node: ended with exit status {status}")
+        raise SilentNodeError(f"{each.name} node: {_ending(status)}")
     summaries: list[NodeSummary] = [each.said["summary"] for each in processes]
     total = NodeSummary(processes[-1].ticks, summaries[-1].wall_s, {}, {})
     for one in summaries:

@@ -23,7 +23,7 @@ class NoiseColumns:
     e^{-T/τ}. The rms describes the coloured noise, from the first tick on.
 
     Args:
-        seed: of the scenario, or derived from it for another sensor.
+        seed: the seed of the scenario, or for another sensor a seed derived from that seed.
         rms: of the noise.
         lag_s: of the filter that colours the noise; 0: white noise.
         tick_s: the tick, seconds.

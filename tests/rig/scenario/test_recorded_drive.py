@@ -154,7 +154,9 @@ BAD = {
     "time,speed_mps\n24/11/2026 10:00:00,1\n": "must be a time",
     "time,speed_mps\n0,1\n10:00:01,1\n": "line 3: '10:00:01': must be seconds like the time",
     "time,speed_mps\n10:00:01,1\n2,1\n": "line 3: '2': must be hh:mm:ss like the time before",
-    "time,speed_mps\n2026-05-04T10:00:00,1\n2026-05-04T10:00:01Z,1\n": "a time without a",
+    "time,speed_mps\n2026-05-04T10:00:00,1\n2026-05-04T10:00:01Z,1\n": (
+        "line 3: '2026-05-04T10:00:01Z': must be a date and a time without a time zone like"
+    ),
     "time,speed_mps\n1777888800000,1\n": "a header time_ms says milliseconds",
     "time_s,speed_mps\n20,1\n21,1\n": "begins at 20 s, and the run ends at 10 s",
     "time_s,speed_mps,friction\n0,10,0\n": "line 2: friction = 0: must be 0.01 to 2",
