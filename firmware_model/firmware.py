@@ -154,7 +154,7 @@ class Firmware:
         ``at_rest``: whether the actuators are known to be at rest.
         """
         self._states.view(np.uint8)[...] = self._first
-        self._states[0].takeover.pending = AT_REST if at_rest else UNKNOWN
+        self._states[0].supervision.takeover.pending = AT_REST if at_rest else UNKNOWN
 
     def saved(self) -> bytes:
         """What is known of the car and of lost actuators, for ``restore`` after a restart."""
@@ -170,14 +170,14 @@ class Firmware:
             Whether ``saved`` is intact and of a controller with the same constants; otherwise
             nothing changes.
         """
-        own = self._states[0].saved
+        own = self._states[0].supervision.saved
         if len(saved) != own.nbytes:
             return False
         found = np.frombuffer(saved, own.dtype)[0]
         crc = signed(zlib.crc32(saved[CRC_BYTES:]))
         if found.fingerprint != self._fingerprint or found.crc != crc:
             return False
-        self._states[0].saved = found
+        self._states[0].supervision.saved = found
         return True
 
     def reset(self, reference: float) -> None:
@@ -217,13 +217,13 @@ class Firmware:
     @property
     def hypotheses(self) -> verdict.State:
         """What ``hypotheses`` makes of d̂, now and after any further ``step``; read only."""
-        hypotheses: verdict.State = self._states[0]["hypotheses"]
+        hypotheses: verdict.State = self._states[0].supervision.hypotheses
         return hypotheses
 
     @property
     def echo_errors(self) -> tuple[float, float]:
         """Modelled less reported output of both actuators; 0 without an echo; see ``echoes``."""
-        heard = self._states[0].echoes
+        heard = self._states[0].supervision.echoes
         return float(heard.actuators[TORQUE].error), float(heard.actuators[FORCE].error)
 
     @property

@@ -64,7 +64,10 @@ class CompiledLaw:
         """``controller.step``, bound to the table and the state."""
         step, memory = self._step, (_address(tables), _address(states))
         names = ("command_1", "command_2", "fault_estimate", "mode", "fault_state")
-        answers = [*(states[name].item for name in names), states["hypotheses"]["verdict"].item]
+        answers = [
+            *(states[name].item for name in names),
+            states["supervision"]["hypotheses"]["verdict"].item,
+        ]
 
         def stepped(reference: float, measurement: float) -> tuple[Any, ...]:
             step(*memory, reference, measurement)

@@ -8,7 +8,7 @@ from importlib.resources import files
 from typing import Final
 
 from can_rig.export.c_files import c_files
-from can_rig.export.source import REAL, Record, Sources, Type
+from can_rig.export.source import INT, REAL, Record, Sources, Type
 from can_rig.export.subset import Program
 from firmware_model.law import controller, layout, schedule
 from firmware_model.law.structs import Precision
@@ -129,7 +129,8 @@ def law_program() -> Program:
         program.add(functions[name], [*memory, *(REAL,) * inputs])
     hear = program.sources.module(further_sensors.__name__).functions[HEAR]
     program.add(hear, [*memory, REAL, REAL, REAL])
-    program.add(program.sources.module(knowledge.__name__).functions[SAVE], memory[1:])
+    save = program.sources.module(knowledge.__name__).functions[SAVE]
+    program.add(save, [*_records(program.sources, layout.Supervision), INT])
     return program
 
 

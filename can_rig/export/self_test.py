@@ -129,7 +129,7 @@ def known_answers(of: Scheduled, amplitude: float, hears: bool = False) -> Known
         elif k in STARTS:
             tables[0], blendings[0] = of.table, np.zeros((), blendings.dtype)
             states[0] = PYTHON_LAW.init(of.table)[0]
-            states[0].takeover.pending = UNKNOWN
+            states[0].supervision.takeover.pending = UNKNOWN
         if change_speed is not None:
             change_speed(float(row[2]))
         if k in STARTS:

@@ -61,7 +61,8 @@ SPEEDS = (-5.0, 50.0)  # m/s: within the designs' range and outside
 STANDSTILLS = 0.01  # of all ticks
 INDICES = (
     ("estimator.queue_1", "index"), ("estimator.queue_2", "index"),
-    ("echoes", "index"), ("witness", "index"), ("mismatch.covariance", "first"),
+    ("supervision.echoes", "index"), ("supervision.witness", "index"),
+    ("supervision.mismatch.covariance", "first"),
 )  # fmt: skip
 SUMS = {
     "hypotheses.health": ("off", "faults"),
@@ -328,55 +329,55 @@ def random_state(
     """A state for ``table``, shape (1,); of a few an index lies outside its array."""
     states = zeroed(State, precision)
     state: Any = states[0]
+    own = state.supervision
     fill(random, states, precision, even)
     constants, estimator = table.estimator, state.estimator
     for name, ticks in (("queue_1", constants.shown_ticks_1), ("queue_2", constants.shown_ticks_2)):
         estimator[name].index = random.integers(0, max(ticks, 1))
     if random.random() < 0.5:  # a candidate near its age limit
-        test, own = state.sequential_test, state.sequential_test.candidate
-        test.half_age, own.predicted = random.integers(2, 9), random.exponential()
-        own.age = 2.0 * test.half_age + random.integers(-2, 3)
-        test.half_information, own.information = np.sort(random.exponential(1.0, 2))
+        test, torque = own.sequential_test, own.sequential_test.candidate
+        test.half_age, torque.predicted = random.integers(2, 9), random.exponential()
+        torque.age = 2.0 * test.half_age + random.integers(-2, 3)
+        test.half_information, torque.information = np.sort(random.exponential(1.0, 2))
         if random.random() < 0.4:  # without evidence
-            test.delay[:], own.explained[:] = 0.0, 0.0
+            test.delay[:], torque.explained[:] = 0.0, 0.0
     if random.random() < 0.3:
-        state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
+        own.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
     if random.random() < 0.7 and not even:
         for where, names in SUMS.items():
             for name in names:
                 size = random.exponential() * 10.0 ** random.uniform(-2.0, 2.0)
-                setattr(part_of(state, where), name, size)
+                setattr(part_of(own, where), name, size)
     state.mode = random.integers(0, 4)
     state.fault_state = random.choice([*FaultState, FaultState.CONFIRMED])
-    saved, signatures = state.saved, state.hypotheses.signatures
+    saved, signatures = own.saved, own.hypotheses.signatures
     saved.fingerprint, signatures.obeyed = int(random.random() < 0.2), random.integers(0, 2)
     saved.fault_state, saved.verdict = random.integers(0, 4), random.integers(0, len(Verdict))
-    state.standby.slow = int(random.random() < 0.05)
-    for of in (state.standby, state.prediction):
+    own.standby.slow = int(random.random() < 0.05)
+    for of in (own.standby, own.prediction):
         of.elapsed = random.choice([0.0, 1.0, 60.0, of.elapsed], p=[0.85, 0.05, 0.05, 0.05])
-    state.echoes.index = random.integers(0, KEPT_TICKS)
-    for echo in state.echoes.actuators:
+    own.echoes.index = random.integers(0, KEPT_TICKS)
+    for echo in own.echoes.actuators:
         echo.left, echo.believed, echo.good = reported(random)
         echo.doubted, echo.lied = random.choice([(0, 1), (1, 0)])
         if random.random() < 0.3:  # of a motor that obeys, with a small or a large error
             with np.errstate(over="ignore"):
                 echo.swing = random.choice([1e-2, 1.0]) * echo.error**2
             echo.stray = random.uniform(-1.0, 1.0) * echo.swing
-            state.sequential_test.candidate.predicted = random.exponential(100.0)
+            own.sequential_test.candidate.predicted = random.exponential(100.0)
         if random.random() < 0.2:  # of a motor that has lost a share
             share = random.uniform(0.0, 3.0)
             echo.turned, echo.swing = 0.0, random.choice([0.0, abs(echo.swing)])
             with np.errstate(over="ignore"):
                 echo.error = echo.modelled * share
                 echo.stray = echo.swing * share * random.uniform(0.5, 1.5)
-    fill_witness(random, table, state)
-    state.hypotheses.verdict = random.choice([TORQUE_OFFSET, FORCE_LOST] * 4 + [*Verdict])
+    fill_witness(random, table, own)
+    own.hypotheses.verdict = random.choice([TORQUE_OFFSET, FORCE_LOST] * 4 + [*Verdict])
     state.monitor.reason = random.choice([0, 0, 0, 0, COMPENSATION_OFF, SWINGING])
-    state.takeover.pending = random.choice([0, 0, 0, 0, 1, 2])
-    state.takeover.active = random.integers(0, 2)
-    state.takeover.elapsed = random.integers(0, 9)
-    state.mismatch.covariance.first = random.choice([0, LOSS_STATES])
-    state.mismatch.covariance.variances[:] = abs(state.mismatch.covariance.variances)
+    own.takeover.pending = random.choice([0, 0, 0, 0, 1, 2])
+    own.takeover.active, own.takeover.elapsed = random.integers(0, 2), random.integers(0, 9)
+    own.mismatch.covariance.first = random.choice([0, LOSS_STATES])
+    own.mismatch.covariance.variances[:] = abs(own.mismatch.covariance.variances)
     if random.random() < 0.1:
         where, index = random.choice(INDICES)
         part_of(state, where)[index] = random.choice([-1, 2**7, 2**30, -(2**31)])
@@ -388,21 +389,19 @@ def reported(random: np.random.Generator) -> Any:
     return (random.random(3) < [0.8, 0.4, 0.3]) * [random.choice([1, 9]), 1, 4]
 
 
-def fill_witness(random: np.random.Generator, table: Any, state: Any) -> None:
+def fill_witness(random: np.random.Generator, table: Any, own: Any) -> None:
     """What the witness knows, which often agrees with the sensor or with an echo."""
-    witness = state.witness
+    witness = own.witness
     witness.index = random.integers(0, KEPT_TICKS)
     witness.left, witness.denied, witness.good = reported(random)
     if random.random() < 0.4:  # agrees with itself and with the sensor, not with the model
         witness.apart, witness.inner = 1e-2 * witness.apart, 1e-4 * witness.inner
-        state.echoes.actuators[TORQUE].missing *= 0.1
-        state.echoes.actuators[FORCE].off *= 0.01
+        own.echoes.actuators[TORQUE].missing *= 0.1
+        own.echoes.actuators[FORCE].off *= 0.01
     if random.random() < 0.4:  # about as far off as the lost torque that its echo reports
-        actuator, echo = table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]
-        answer, missing = (
-            state.hypotheses.signatures.rows[TORQUE_ECHO_ROW].answer,
-            missing_command(actuator, echo),
-        )
+        actuator, echo = table.echoes.actuators[TORQUE], own.echoes.actuators[TORQUE]
+        answer = own.hypotheses.signatures.rows[TORQUE_ECHO_ROW].answer
+        missing = missing_command(actuator, echo)
         shown = output(table.estimator.channel_1, answer, missing)
         with np.errstate(over="ignore"):
             echo.power = 0.5 * echo.missing + 9.0 * actuator.least
@@ -509,7 +508,10 @@ def random_trials(
         inputs = reals(random, (ticks, 2), precision, even)
         again = 1 + np.flatnonzero(random.random(ticks - 1) < 0.2)
         inputs[again] = inputs[again - 1]
-        for of in (states[0], states[0].hypotheses.frozen):  # a measurement that repeats
+        for of in (
+            states[0],
+            states[0].supervision.hypotheses.frozen,
+        ):  # a measurement that repeats
             if random.random() < 0.2:
                 of.measurement = inputs[0, 1]
         drive = random_drive(random, precision, ticks, even) if blends else None

@@ -205,7 +205,7 @@ def simulation(
     at_rest = None
     if of is not None:
         at_rest = controller.init(of.table)
-        at_rest["takeover"]["pending"] = UNKNOWN  # the plant may move already
+        at_rest["supervision"]["takeover"]["pending"] = UNKNOWN  # the plant may move already
     return Simulation(
         InLoop(scenario, plant) if of is None else of.table,
         plant,

@@ -50,9 +50,9 @@ def tick(
     controller.step(table, state, inputs[0][k], measured)
     signals[COMMAND_1, k], signals[COMMAND_2, k] = state.command_1, state.command_2
     signals[ESTIMATE, k] = state.fault_estimate
-    signals[EVIDENCE, k] = state.sequential_test.candidate.predicted
+    signals[EVIDENCE, k] = state.supervision.sequential_test.candidate.predicted
     states[0, k], states[1, k] = state.fault_state, state.mode
-    states[2, k] = state.hypotheses.verdict
+    states[2, k] = state.supervision.hypotheses.verdict
     return carry(table.estimator.latency_ticks, inputs, grid, actuators, signals, k)
 
 

@@ -38,6 +38,7 @@ from firmware_model.design.plants import Plant
 from firmware_model.discretisation.sections import ComplexArray, reaching
 from firmware_model.errors import ParameterError
 from firmware_model.law import controller
+from firmware_model.law.core import biquad
 from firmware_model.law.layout import State, Table
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import FloatArray, Records, zeroed
@@ -204,7 +205,7 @@ def linear_controller(table: Table, confirmed: float = 0.0) -> LinearController:
     if confirmed > 0.0:
         states["fault_state"] = FaultState.CONFIRMED
         for name in ("share", "between", "followed"):
-            states["loss_model"][name] = confirmed
+            states["supervision"]["loss_model"][name] = confirmed
     for j, (path, index) in enumerate(memories):
         field_of(states, path)[(j, *index)] = 1.0
     inputs = np.zeros((2, k + 2))
@@ -296,7 +297,7 @@ def memories_of(table: Table) -> list[Memory]:
     """
     memories: list[Memory] = []
     estimator = table.estimator
-    cascades = {
+    cascades: dict[tuple[str, ...], biquad.Constants] = {
         ("tracking", "filter"): table.tracking.filter,
         ("tracking", "stabiliser"): table.tracking.stabiliser,
         ("estimator", "channel_1"): estimator.channel_1,
@@ -306,7 +307,8 @@ def memories_of(table: Table) -> list[Memory]:
         ("compensator", "filter"): table.compensator.filter,
     }
     if table.compensator.on_confirmation:
-        cascades["loss_model", "channel_1"] = estimator.channel_1  # another state of it
+        w = ("supervision", "loss_model", "channel_1")  # another state of G1
+        cascades[w] = estimator.channel_1
     for path, cascade in cascades.items():
         for i in range(cascade.n):
             _, b1, b2, a1, a2 = cascade.coefficients[i]

@@ -254,7 +254,7 @@ class Simulation:
         tables, states, *_ = self._loop
         states.view(np.uint8)[...] = self._at_rest.view(np.uint8)
         if survives:
-            states[0].saved = self._saved
+            states[0].supervision.saved = self._saved
         if self._speed is not None:
             tables[0] = self._table
             self._speeds[1].view(np.uint8)[...] = 0

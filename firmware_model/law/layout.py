@@ -12,7 +12,7 @@ import numpy as np
 
 from firmware_model.law import monitor
 from firmware_model.law.core import thesis
-from firmware_model.law.structs import Precision, record_type
+from firmware_model.law.structs import Precision, Struct, record_type
 from firmware_model.law.supervision import (
     bumpless_transfer,
     corroboration,
@@ -51,8 +51,8 @@ class Table(thesis.Table):
     monitor: Annotated[monitor.Constants, "1", "independent bounds on commands and motion"]
 
 
-class State(thesis.State):
-    """State."""
+class Supervision(Struct):
+    """The memory of the supervision."""
 
     other_cars: Annotated[other_cars.State, "1", "what they show"]
     mismatch: Annotated[mismatch.State, "1", "how this car differs"]
@@ -68,6 +68,12 @@ class State(thesis.State):
     standby: Annotated[standby.State, "1", "of a car slower than the lowest design"]
     takeover: Annotated[takeover.State, "1", "of a moving plant"]
     saved: Annotated[knowledge.Saved, "1", "what outlives a restart, until the begin"]
+
+
+class State(thesis.State):
+    """The memory of the law: of the thesis, of the supervision, of the monitor."""
+
+    supervision: Annotated[Supervision, "1", "what decides whose fault d̂ is"]
     monitor: Annotated[monitor.State, "1", "what has been taken away"]
 
 

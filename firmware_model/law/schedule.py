@@ -33,8 +33,8 @@ from firmware_model.law.supervision.signatures import THROUGH_G1, THROUGH_G2
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
-    from firmware_model.law.core import biquad, shortfall
-    from firmware_model.law.layout import Table
+    from firmware_model.law.core import biquad, shortfall, thesis
+    from firmware_model.law.layout import Supervision, Table
     from firmware_model.law.supervision import standby
 
 
@@ -103,15 +103,16 @@ def change_speed(
     v = real(speed, own.place)
     if not math.isfinite(v):
         return
-    note_speed(state.standby, v, schedule.speed[0])
+    supervision = state.supervision
+    note_speed(supervision.standby, v, schedule.speed[0])
     if table.witness.longest > 0:
         table.witness.speed = v
     place = place_of(schedule, v)
     if place == own.place or is_damaged(
-        state.estimator, state.echoes, state.witness, state.mismatch
+        state.estimator, supervision.echoes, supervision.witness, supervision.mismatch
     ):
         return
-    move(schedule, own, table, state, place)
+    move(schedule, own, table, state, supervision, place)
     own.place = place
     at = int(place)
     blend(schedule, table, at, place - real(at, place))
@@ -153,7 +154,14 @@ def place_of(schedule: Constants, speed: float) -> float:
 
 
 @firmware
-def move(schedule: Constants, own: State, table: Table, state: layout.State, place: float) -> None:
+def move(
+    schedule: Constants,
+    own: State,
+    table: Table,
+    core: thesis.State,
+    supervision: Supervision,
+    place: float,
+) -> None:
     """Turn all states from ``own.place`` to ``place``, interval by interval."""
     last = schedule.n - 2
     for k in range(schedule.n - 1):
@@ -165,34 +173,41 @@ def move(schedule: Constants, own: State, table: Table, state: layout.State, pla
         end = min(max(place, low), high)
         begin = min(max(own.place, low), high)
         if end != begin:
-            turn_models(schedule, own, table, state, i, end - begin)
+            turn_models(schedule, own, table, core, supervision, i, end - begin)
 
 
 @firmware
 def turn_models(
-    schedule: Constants, own: State, table: Table, state: layout.State, at: int, way: float
+    schedule: Constants,
+    own: State,
+    table: Table,
+    core: thesis.State,
+    supervision: Supervision,
+    at: int,
+    way: float,
 ) -> None:
     """Turn every state of a model of the car by ``way`` within the interval ``at``."""
-    turn(schedule.model.turn_1, own, state.estimator.channel_1, at, way)
-    turn(schedule.model.turn_2, own, state.estimator.channel_2, at, way)
-    turn(schedule.model.turn_1, own, state.shortfall_1, at, way)
-    turn(schedule.model.turn_2, own, state.shortfall_2, at, way)
-    turn(schedule.model.turn_1, own, state.sequential_test.channel_1, at, way)
-    turn(schedule.model.turn_1, own, state.sequential_test.earlier, at, way)
-    turn(schedule.model.turn_1, own, state.loss_model.channel_1, at, way)
-    turn(schedule.model.turn_1, own, state.loss_model.earlier, at, way)
-    turn(schedule.model.turn_1, own, state.loss_model.fading, at, way)
+    test, loss, heard = supervision.sequential_test, supervision.loss_model, supervision.echoes
+    turn(schedule.model.turn_1, own, core.estimator.channel_1, at, way)
+    turn(schedule.model.turn_2, own, core.estimator.channel_2, at, way)
+    turn(schedule.model.turn_1, own, core.shortfall_1, at, way)
+    turn(schedule.model.turn_2, own, core.shortfall_2, at, way)
+    turn(schedule.model.turn_1, own, test.channel_1, at, way)
+    turn(schedule.model.turn_1, own, test.earlier, at, way)
+    turn(schedule.model.turn_1, own, loss.channel_1, at, way)
+    turn(schedule.model.turn_1, own, loss.earlier, at, way)
+    turn(schedule.model.turn_1, own, loss.fading, at, way)
     if table.echoes.longest > 0:
-        turn(schedule.model.turn_1, own, state.echoes.actuators[OF_TORQUE].known, at, way)
-        turn(schedule.model.turn_2, own, state.echoes.actuators[OF_FORCE].known, at, way)
-    rows = table.hypotheses.signatures.n
-    for i in range(rows):
-        row, one = table.hypotheses.signatures.rows[i], state.hypotheses.signatures.rows[i]
+        turn(schedule.model.turn_1, own, heard.actuators[OF_TORQUE].known, at, way)
+        turn(schedule.model.turn_2, own, heard.actuators[OF_FORCE].known, at, way)
+    signatures = table.hypotheses.signatures
+    for i in range(signatures.n):
+        row, one = signatures.rows[i], supervision.hypotheses.signatures.rows[i]
         if row.through == OF_G1:
             turn(schedule.model.turn_1, own, one.answer, at, way)
         elif row.through == OF_G2:
             turn(schedule.model.turn_2, own, one.answer, at, way)
-    cars, others = state.other_cars, table.other_cars.n
+    cars, others = supervision.other_cars, table.other_cars.n
     if others > 0:
         turn(schedule.model.turn_1, own, cars.model.channel_1, at, way)
         turn(schedule.model.turn_2, own, cars.model.channel_2, at, way)

@@ -71,7 +71,7 @@ def test_a_lost_channel_owes_what_it_was_told_in_time(latency, known):
     firmware, constants = Firmware(table(latency)), table(latency).estimator
     state, sent = firmware._states[0], [30.0, -40.0, 55.0][:latency]
     state.fault_state = known
-    owing: list[Any] = [state.sequential_test, state.loss_model]
+    owing: list[Any] = [state.supervision.sequential_test, state.supervision.loss_model]
     for k, command in enumerate(sent):
         state.estimator.queue_1.commands[k] = command
         for each in owing:

@@ -1,6 +1,7 @@
 """The house: rooms that one can take in at a glance, and imports that only go down."""
 
 import ast
+import re
 import shutil
 import subprocess
 from functools import cache
@@ -94,3 +95,31 @@ def test_only_commands_and_heavy_libraries_excuse_an_import_within_a_function():
         and (late := [name for name in imports_within_functions(path) if not is_heavy(name)])
     }
     assert unexcused == {}
+
+
+ENTRIES = {
+    *("controller.start_up", "controller.step", "controller.reset", "schedule.change_speed"),
+    *("supervision.further_sensors.hear", "supervision.lost_commands.act"),
+    "supervision.knowledge.saved_in",
+}
+"""The functions of the law that others call, with the whole memory of a controller."""
+
+
+def memories_taken(path: Path) -> set[str]:
+    """The functions of a module with a parameter of the type ``layout.State``."""
+    text = path.read_text("utf-8")
+    said = {"layout.State"}
+    if re.search(r"law\.layout import [^\n]*\bState\b", text):
+        said.add("State")
+    room = name_of(path).removeprefix("firmware_model.law.")
+    return {
+        f"{room}.{node.name}"
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.FunctionDef)
+        and said & {ast.unparse(each.annotation) for each in node.args.args if each.annotation}
+    }
+
+
+def test_only_the_entries_of_the_law_take_its_whole_memory():
+    """A stage gets its inputs: the memory of the thesis's law, of the supervision, or less."""
+    assert set().union(*map(memories_taken, sources("firmware_model/law"))) == ENTRIES

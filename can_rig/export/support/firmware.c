@@ -20,11 +20,11 @@ void firmware_init(struct layout_state *state)
     (void)memset(memory, 0, sizeof *memory);
     memory->table = controller_table;
     controller_start_up(&memory->table, &memory->state);
-    memory->state.takeover.pending = 1;
+    memory->state.supervision.takeover.pending = 1;
 //: else
     (void)memset(state, 0, sizeof *state);
     controller_start_up(&controller_table, state);
-    state->takeover.pending = 1;
+    state->supervision.takeover.pending = 1;
 //: end
 }
 
@@ -49,11 +49,11 @@ void firmware_save(struct firmware_memory *memory, struct knowledge_saved *saved
 void firmware_save(struct layout_state *state, struct knowledge_saved *saved)
 {
 //: end
-    const int32_t before = state->saved.fingerprint;
+    const int32_t before = state->supervision.saved.fingerprint;
 
-    knowledge_save(state);
-    *saved = state->saved;
-    state->saved.fingerprint = before;
+    knowledge_save(&state->supervision, state->fault_state);
+    *saved = state->supervision.saved;
+    state->supervision.saved.fingerprint = before;
     put(&saved->fingerprint, self_test_data.fingerprint);
     put(&saved->crc, guard_of(saved));
 }
@@ -70,7 +70,7 @@ bool firmware_restore(struct layout_state *state, const struct knowledge_saved *
                           (uint32_t)saved->crc == guard_of(saved);
 
     if (is_whole) {
-        state->saved = *saved;
+        state->supervision.saved = *saved;
     }
     return is_whole;
 }
@@ -128,6 +128,6 @@ struct firmware_answer firmware_step(struct firmware_memory *memory, real refere
         .fault_estimate = state->fault_estimate,
         .mode = state->mode,
         .fault_state = state->fault_state,
-        .verdict = state->hypotheses.verdict,
+        .verdict = state->supervision.hypotheses.verdict,
     };
 }

@@ -22,9 +22,7 @@ class Constants(Struct):
     feedthrough: Annotated[float, "u2/y", "of F̂ to the same tick"]
     loop_inverse: Annotated[float, "1", "1/(1 - gain of the algebraic loop)"]
     reference_share: Annotated[float, "u2/y", "of the reference, that goes to channel 2 directly"]
-    on_confirmation: Annotated[
-        int, "1", "1: F̂ acts on a confirmed loss; 0, the thesis: always", (0, 1)
-    ]
+    on_confirmation: Annotated[int, "1", "1: F̂ acts on a confirmed loss; 0: on d̂", (0, 1)]
 
 
 class State(Struct):

@@ -15,8 +15,7 @@ from typing import Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.core import biquad
-from firmware_model.law.core.biquad import advance, output, settle
-from firmware_model.law.precision import real
+from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SHOWN_TICKS, FloatArray, Struct
 
 
@@ -27,9 +26,7 @@ class Constants(Struct):
     channel_2: Annotated[biquad.Constants, "y/u2", "G2"]
     one_plus_q: Annotated[biquad.Constants, "1", "1 + Q"]
     measurement: Annotated[biquad.Constants, "1", "M; no section, for 1, where the plant is stable"]
-    feedthrough_2: Annotated[
-        float, "y/u2", "of G2 to the same tick; 0 with any latency or dead time"
-    ]
+    feedthrough_2: Annotated[float, "y/u2", "of G2 to the same tick; 0 with latency or dead time"]
     one_plus_q_feedthrough: Annotated[float, "1", "of 1 + Q to the same tick"]
     latency_ticks: Annotated[
         int, "tick", "from a sample until its command is at its actuator", (0, MAX_LATENCY_TICKS)
@@ -91,15 +88,6 @@ def pass_on(queue: Queue, ticks: int, command: float) -> float:
 
 
 @firmware
-def revise(queue: Queue, ticks: int, waits: int, command: float) -> float:
-    """Put ``command`` in place of the command that has waited for ``waits`` ticks; return that."""
-    at = (queue.index + ticks - waits) % max(ticks, 1)
-    before: float = queue.commands[at]
-    queue.commands[at] = command
-    return before
-
-
-@firmware
 def model_output(
     constants: Constants, state: State, command_1: float, command_2: float
 ) -> tuple[float, float]:
@@ -129,24 +117,3 @@ def take_measurement(constants: Constants, state: State, measurement: float) -> 
     state.measured = measurement
     shown: float = advance(constants.measurement, state.measurement, measurement)
     return shown
-
-
-@firmware
-def settle_estimator(
-    constants: Constants, state: State, command_1: float, command_2: float, level: float
-) -> None:
-    """The steady state of a healthy plant for constant commands: d̂ = 0.
-
-    ``level`` is y of an integrating plant: with zero commands the plant rests at any y.
-    """
-    shown = settle(constants.channel_1, state.channel_1, command_1)
-    shown += settle(constants.channel_2, state.channel_2, command_2)
-    for_one = settle(constants.measurement, state.measurement, real(1.0, command_1))
-    if for_one != 0.0:
-        level = shown / for_one
-    state.measured = level
-    settle(constants.measurement, state.measurement, level)
-    state.queue_1.commands[:] = command_1
-    state.queue_2.commands[:] = command_2
-    state.queue_1.index = state.queue_2.index = 0
-    state.showing_1, state.showing_2 = command_1, command_2

@@ -27,12 +27,8 @@ from firmware_model.law.structs import Struct
 class Constants(Struct):
     """Constants."""
 
-    enabled: Annotated[
-        int, "1", "1: C follows the shaped reference; 0: the reference itself", (0, 1)
-    ]
-    acceleration: Annotated[
-        float, "y/tick²", "largest second difference of the shaped reference, R T²"
-    ]
+    enabled: Annotated[int, "1", "1: C follows the shaped reference r_s; 0: r itself", (0, 1)]
+    acceleration: Annotated[float, "y/tick²", "largest second difference of r_s, R T²"]
 
 
 class State(Struct):

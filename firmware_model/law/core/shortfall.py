@@ -29,12 +29,7 @@ if TYPE_CHECKING:
 class Constants(Struct):
     """Constants."""
 
-    gain: Annotated[
-        FloatArray,
-        "command/y",
-        "v for each accumulator of the model: the best make-up of a tick",
-        (MAX_SECTIONS, 2),
-    ]
+    gain: Annotated[FloatArray, "command/y", "v for each accumulator of G", (MAX_SECTIONS, 2)]
 
 
 State = biquad.State  # of G driven by asked - possible

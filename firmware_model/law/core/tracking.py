@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from firmware_model.compiled import firmware
 from firmware_model.law.core import biquad
-from firmware_model.law.core.biquad import advance, output, settle
+from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.precision import real
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
 
@@ -47,9 +47,7 @@ class State(Struct):
     filter: Annotated[biquad.State, "u1", "state of Q"]
     stabiliser: Annotated[biquad.State, "u1", "state of R"]
     error: Annotated[float, "y", "r - y + G1 u1 of the last tick with inputs"]
-    delay: Annotated[
-        FloatArray, "y", "ring of G2 (asked - possible) on its way", (MAX_SHOWN_TICKS,)
-    ]
+    delay: Annotated[FloatArray, "y", "G2 (asked - possible) on its way", (MAX_SHOWN_TICKS,)]
 
 
 @firmware
@@ -89,14 +87,3 @@ def track_on(constants: Constants, state: State, command: float) -> float:
     if constants.stabiliser.n > 0:
         torque += advance(constants.stabiliser, state.stabiliser, command)
     return torque
-
-
-@firmware
-def settle_tracking(constants: Constants, state: State, reference: float) -> float:
-    """The steady state where M y is ``reference``, of a plant that is the model; the command."""
-    state.delay[:] = 0.0
-    state.error = reference
-    command: float = settle(constants.filter, state.filter, reference)
-    if constants.stabiliser.n > 0:  # R is 0 for a constant
-        settle(constants.stabiliser, state.stabiliser, command)
-    return command

@@ -20,7 +20,8 @@ from firmware_model.law.precision import real
 from firmware_model.law.structs import FloatArray, Struct
 
 MAX_DIRECTIONS = 4
-LOSS_STATES = 2  # of a confirmed loss: share and moment
+SHARE, MOMENT = 0, 1  # the states of a confirmed loss
+LOSS_STATES = 2
 MAX_STATES = LOSS_STATES + MAX_DIRECTIONS + 1  # these, directions, the remainder
 SIZES = (MAX_STATES,)
 
@@ -127,8 +128,8 @@ def replace_loss(state: State, n: int, share: float, moment: float) -> None:
             added[i] = lower[i, k]
         add(state, n, LOSS_STATES, state.variances[k])
     lower[:, :LOSS_STATES] = 0.0
-    state.variances[0] = share
-    state.variances[1] = moment
+    state.variances[SHARE] = share
+    state.variances[MOMENT] = moment
     state.first = LOSS_STATES
     if share + moment > real(0.0, share):
         state.first = 0

@@ -95,8 +95,8 @@ from firmware_model.law.supervision.verdict import (
 )
 
 if TYPE_CHECKING:
-    from firmware_model.law import layout
-    from firmware_model.law.layout import Table
+    from firmware_model.law.core import thesis
+    from firmware_model.law.layout import Supervision, Table
 
 
 CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = (
@@ -122,111 +122,111 @@ class Constants(Struct):
 
 
 @firmware
-def decide(
-    table: Table, state: layout.State, residual: float, model_1: float, model_2: float
-) -> None:
+def decide(table: Table, core: thesis.State, own: Supervision, residual: float) -> None:
     """The fault state of this tick.
 
     Args:
         table: the constant table.
-        state: changed in place.
+        core: the thesis's law of this tick; its fault state changes.
+        own: changed in place.
         residual: G1 u1 + G2 u2 - y of this tick.
-        model_1: G1 u1 in the residual: a working channel 1 adds G1 u1 to y.
-        model_2: G2 u2 likewise.
     """
-    test, known, own = state.sequential_test, state.mismatch, state.hypotheses
-    loss, heard, seen, model = state.loss_model, state.echoes, state.witness, state.estimator
+    test, known, found = own.sequential_test, own.mismatch, own.hypotheses
+    loss, heard, seen, model = own.loss_model, own.echoes, own.witness, core.estimator
     torque = test.candidate
-    show_acting_commands(table, state)
+    model_1, modelled = core.tick.model_1, core.tick.model_1 + core.tick.model_2
+    show_acting_commands(table, core, own)
     if table.corroboration.gust > 0.0:
-        follow_residual(table.corroboration, state.corroboration, residual)
-    before = state.fault_state
-    w = loss_shown(table, loss, model, lost_command(before, state.command_1))
-    error = sensor_error_shown(table, own.sensor_error)
+        follow_residual(table.corroboration, own.corroboration, residual)
+    before = core.fault_state
+    w = loss_shown(table, loss, model, lost_command(before, core.command_1))
+    error = sensor_error_shown(table, found.sensor_error)
     earlier = earlier_shown(table, loss)
-    predict_mismatch(table, known, state.other_cars.shown, model_1 + model_2, w, earlier)
+    predict_mismatch(table, known, own.other_cars.shown, modelled, w, earlier)
     fading = earlier_missing(table, loss, model, heard)
     new = innovation(table.mismatch, known, residual, error, fading, loss.share)
     share = known_share(loss, known)
     follow_share(table.loss_model, loss, share)
-    shown = candidate_shown(table, test, model, state.command_1)
+    shown = candidate_shown(table, test, model, core.command_1)
     sought = -share if before == CONFIRMED else table.sequential_test.share
     if update_test(table, test, known, shown, new, sought):
-        restart_test(table, state)
-    command_2 = state.other_cars.command_2
-    weigh_signatures(table, own.signatures, known, heard, command_2, own.verdict, new)
-    keep_before(own.signatures, torque.age)
-    expected = model_1 + model_2 - fading - loss.share * w
-    weigh_frozen(table, own.frozen, known, state.measurement, new, expected)
+        restart_test(table, core, own)
+    command_2 = own.other_cars.command_2
+    weigh_signatures(table, found.signatures, known, heard, command_2, found.verdict, new)
+    keep_before(found.signatures, torque.age)
+    expected = modelled - fading - loss.share * w
+    weigh_frozen(table, found.frozen, known, core.measurement, new, expected)
     evidence = torque_evidence(known, torque, before == CONFIRMED, share)
-    take_evidence(table, own, known, heard, evidence)
-    waits = torque_waits(table, state.corroboration, heard, seen, torque.age)
+    take_evidence(table, found, known, heard, evidence)
+    waits = torque_waits(table, own.corroboration, heard, seen, torque.age)
     believed = heard.actuators[TORQUE].believed
-    judge(table, own, known, heard, seen, waits, before == CONFIRMED, torque.predicted)
+    judge(table, found, known, heard, seen, waits, before == CONFIRMED, torque.predicted)
     if heard.actuators[TORQUE].believed != believed:
-        transfer_to_losses(table, state)
-    if shows_no_fault(table, state, residual, model_1, w, error):
-        forget_faults(table, state)
-    elif found_elsewhere(own):
-        state.fault_state = CLEAR
-        restart_test(table, state)
+        transfer_to_losses(table, core, own)
+    if shows_no_fault(table, own, residual, model_1, w, error):
+        forget_faults(table, core, own)
+    elif found_elsewhere(found):
+        core.fault_state = CLEAR
+        restart_test(table, core, own)
     elif before == CONFIRMED:
         share = known_share(loss, known)
         echo = heard.actuators[TORQUE]
         contradicted = contradicts_share(table.echoes.actuators[TORQUE], echo, share)
         if contradicted and echo.lied == 0:
-            hand_over_to_echo(table, state)
+            hand_over_to_echo(table, core, own)
         elif torque.predicted > table.decision.recover:
-            recover(table, state)
+            recover(table, core, own)
     else:
-        look_for_loss(table, state, before, model_1)
+        look_for_loss(table, core, own, before, model_1)
 
 
 @firmware
 def shows_no_fault(
-    table: Table, state: layout.State, residual: float, model_1: float, w: float, error: float
+    table: Table, own: Supervision, residual: float, model_1: float, w: float, error: float
 ) -> bool:
     """Whether the plant shows none of the known faults; a finding begins the sums anew.
 
     Args:
         table: the constant table.
-        state: with the verdict of this tick; changed in place.
+        own: with the verdict of this tick; changed in place.
         residual: d̂.
         model_1: G1 u1 in d̂: what an offset of the torque is compared with.
         w: G1 u1 since the loss, in d̂.
         error: what the known error of the sensor hides in d̂.
     """
-    own, heard = state.hypotheses, state.echoes
+    found, heard = own.hypotheses, own.echoes
     told = heard.actuators[TORQUE].believed == 1 or heard.actuators[FORCE].believed == 1
-    if told or own.found != NOTHING:
-        clear_health(own.health)
+    if told or found.found != NOTHING:
+        clear_health(found.health)
         return False
-    share = known_share(state.loss_model, state.mismatch)
-    lost = model_1 if own.verdict == TORQUE_OFFSET else w
-    return is_healthy(table.hypotheses.health, own.health, residual, share, lost, error)
+    share = known_share(own.loss_model, own.mismatch)
+    lost = model_1 if found.verdict == TORQUE_OFFSET else w
+    return is_healthy(table.hypotheses.health, found.health, residual, share, lost, error)
 
 
 @firmware
-def look_for_loss(table: Table, state: layout.State, before: int, model_1: float) -> None:
+def look_for_loss(
+    table: Table, core: thesis.State, own: Supervision, before: int, model_1: float
+) -> None:
     """The fault state of a tick in which no loss is known; ``before``: of the tick before."""
-    constants, test, seen = table.decision, state.sequential_test, state.witness
+    constants, test, seen = table.decision, own.sequential_test, own.witness
     torque = test.candidate
-    heard, echo = state.echoes, state.echoes.actuators[TORQUE]
+    heard, echo = own.echoes, own.echoes.actuators[TORQUE]
     needed = needed_evidence(table, test, echo)
     echo.lied = 0
-    if is_acquitted(table, state.hypotheses):
-        state.fault_state = CANNOT_TELL
+    if is_acquitted(table, own.hypotheses):
+        core.fault_state = CANNOT_TELL
     elif torque.predicted > needed and not torque_waits(
-        table, state.corroboration, heard, seen, torque.age
+        table, own.corroboration, heard, seen, torque.age
     ):
-        confirm_or_believe(table, state)
+        confirm_or_believe(table, core, own)
     elif torque.predicted > constants.suspect or (before == SUSPECTED and torque.predicted > 0.0):
-        state.fault_state = SUSPECTED
+        core.fault_state = SUSPECTED
     else:
         shows = constants.shown * model_1 * model_1
-        state.fault_state = CLEAR
-        if shows < constants.confirm * state.mismatch.variance:
-            state.fault_state = CANNOT_TELL
+        core.fault_state = CLEAR
+        if shows < constants.confirm * own.mismatch.variance:
+            core.fault_state = CANNOT_TELL
 
 
 @firmware
@@ -256,154 +256,156 @@ def needed_evidence(table: Table, test: likelihood_ratio.State, echo: Echo) -> f
 
 
 @firmware
-def show_acting_commands(table: Table, state: layout.State) -> None:
+def show_acting_commands(table: Table, core: thesis.State, own: Supervision) -> None:
     """Tell the other cars the commands visible in the measurement, without the known loss."""
-    model, one = state.estimator, real(1.0, state.command_1)
+    model, one = core.estimator, real(1.0, core.command_1)
     share = one
-    if state.fault_state == CONFIRMED:
-        share = one - known_share(state.loss_model, state.mismatch)
+    if core.fault_state == CONFIRMED:
+        share = one - known_share(own.loss_model, own.mismatch)
     command_1 = model.showing_1 * share
     command_2 = model.showing_2
     if table.estimator.shown_ticks_2 == 0:  # this tick's command is unknown yet, or held
-        command_2 = state.command_2
-    show_other_cars(table, state.other_cars, model.measured, command_1, command_2)
+        command_2 = core.command_2
+    show_other_cars(table, own.other_cars, model.measured, command_1, command_2)
 
 
 @firmware
-def restart_test(table: Table, state: layout.State) -> None:
+def restart_test(table: Table, core: thesis.State, own: Supervision) -> None:
     """A new candidate for a loss, or the return, of channel 1 begins now."""
-    test, in_takeover = state.sequential_test, state.takeover.active
-    start_candidate(table, test, state.estimator, state.command_1, in_takeover)
+    test, in_takeover = own.sequential_test, own.takeover.active
+    start_candidate(table, test, core.estimator, core.command_1, in_takeover)
 
 
 @firmware
-def confirm_or_believe(table: Table, state: layout.State) -> None:
+def confirm_or_believe(table: Table, core: thesis.State, own: Supervision) -> None:
     """Confirm the lost share of channel 1, or believe the echo that contradicts the share.
 
     An echo that d̂ has contradicted is believed only if it explains d̂ half as well as a loss;
     otherwise the loss stays a suspicion. Against a believed echo no such loss is known: only the
     signature of a wrong echo ends the belief.
     """
-    told, echo = table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]
-    share = lost_share(table.sequential_test, state.sequential_test.candidate)
+    told, echo = table.echoes.actuators[TORQUE], own.echoes.actuators[TORQUE]
+    share = lost_share(table.sequential_test, own.sequential_test.candidate)
     contradicted = contradicts_share(told, echo, possible_share(share))
     if contradicted or (confesses(told, echo) and moves(told, echo)):
         share = told_share(told, echo)
         contradicted = not share > 0.0 or contradicts_share(told, echo, share)
-    row, half = state.hypotheses.signatures.rows[TORQUE_ECHO_ROW].candidate, real(0.5, share)
+    row, half = own.hypotheses.signatures.rows[TORQUE_ECHO_ROW].candidate, real(0.5, share)
     if not contradicted:
-        confirm(table, state, share)
+        confirm(table, core, own, share)
     elif echo.believed == 1:
-        restart_test(table, state)
-        state.fault_state = CLEAR
-    elif echo.doubted == 0 or row.evidence > half * state.sequential_test.candidate.predicted:
-        believe_torque_echo(table, state)
-        transfer_to_losses(table, state)
-        restart_test(table, state)
-        state.fault_state = CLEAR
+        restart_test(table, core, own)
+        core.fault_state = CLEAR
+    elif echo.doubted == 0 or row.evidence > half * own.sequential_test.candidate.predicted:
+        believe_torque_echo(table, own)
+        transfer_to_losses(table, core, own)
+        restart_test(table, core, own)
+        core.fault_state = CLEAR
     else:
-        state.fault_state = SUSPECTED
+        core.fault_state = SUSPECTED
 
 
 @firmware
-def hand_over_to_echo(table: Table, state: layout.State) -> None:
+def hand_over_to_echo(table: Table, core: thesis.State, own: Supervision) -> None:
     """The echo contradicts the share of the confirmed loss: the echo says what is missing."""
-    before = missing_by_loss(table, state)
-    believe_torque_echo(table, state)
-    clear_loss_model(state.loss_model)
-    difference = missing_by_loss(table, state) - before  # C takes it over, or gives it back
-    state.echoes.between += difference
-    state.echoes.handed += difference
-    withdraw_loss(table, state)
+    before = missing_by_loss(table, core, own)
+    believe_torque_echo(table, own)
+    clear_loss_model(own.loss_model)
+    difference = missing_by_loss(table, core, own) - before  # C takes it over, or gives it back
+    own.echoes.between += difference
+    own.echoes.handed += difference
+    withdraw_loss(table, core, own)
 
 
 @firmware
-def believe_torque_echo(table: Table, state: layout.State) -> None:
+def believe_torque_echo(table: Table, own: Supervision) -> None:
     """Believe the echo of actuator 1 from the onset of its signature on."""
-    find_by_echo(table, state.hypotheses, state.mismatch, state.echoes, TORQUE_ECHO_ROW)
+    find_by_echo(table, own.hypotheses, own.mismatch, own.echoes, TORQUE_ECHO_ROW)
 
 
 @firmware
-def confirm(table: Table, state: layout.State, share: float) -> None:
+def confirm(table: Table, core: thesis.State, own: Supervision, share: float) -> None:
     """Take a ``share`` of channel 1 for lost since the start of the candidate."""
-    echo = state.echoes.actuators[TORQUE]
+    echo = own.echoes.actuators[TORQUE]
     if echo.good > 0 and denies(table.echoes.actuators[TORQUE], echo):
         echo.lied = 1
-    state.fault_state = CONFIRMED
-    take_candidate(table, state, share, real(1.0, share))
+    core.fault_state = CONFIRMED
+    take_candidate(table, core, own, share, real(1.0, share))
 
 
 @firmware
-def recover(table: Table, state: layout.State) -> None:
+def recover(table: Table, core: thesis.State, own: Supervision) -> None:
     """Channel 1 works again, since the start of the candidate."""
-    state.fault_state = CLEAR
-    share = known_share(state.loss_model, state.mismatch)
-    take_candidate(table, state, share, -real(1.0, share))
+    core.fault_state = CLEAR
+    share = known_share(own.loss_model, own.mismatch)
+    take_candidate(table, core, own, share, -real(1.0, share))
 
 
 @firmware
-def withdraw_loss(table: Table, state: layout.State) -> None:
+def withdraw_loss(table: Table, core: thesis.State, own: Supervision) -> None:
     """Nothing was lost: the compensation fades out."""
-    clear_loss_model(state.loss_model)
-    transfer_to_losses(table, state)
-    state.fault_state = CLEAR
-    none = real(0.0, state.command_1)
-    learn_loss(table.mismatch, state.mismatch, none, none)
-    set_aside(table, state)
+    clear_loss_model(own.loss_model)
+    transfer_to_losses(table, core, own)
+    core.fault_state = CLEAR
+    none = real(0.0, core.command_1)
+    learn_loss(table.mismatch, own.mismatch, none, none)
+    set_aside(table, core, own)
 
 
 @firmware
-def forget_faults(table: Table, state: layout.State) -> None:
+def forget_faults(table: Table, core: thesis.State, own: Supervision) -> None:
     """The plant shows none of the faults that were known, and θ has learnt from the faults."""
-    white = state.mismatch.white
-    forget_car(table.mismatch, state.mismatch)
-    withdraw_loss(table, state)
+    white = own.mismatch.white
+    forget_car(table.mismatch, own.mismatch)
+    withdraw_loss(table, core, own)
     white.fading.memory[:] = white.sensor_error.memory[:] = 0.0
 
 
 @firmware
-def set_aside(table: Table, state: layout.State) -> None:
+def set_aside(table: Table, core: thesis.State, own: Supervision) -> None:
     """No d̂ up to now is evidence."""
-    restart_test(table, state)
-    clear_hypotheses(state.hypotheses)
-    if state.fault_state == SUSPECTED:
-        state.fault_state = CLEAR
+    restart_test(table, core, own)
+    clear_hypotheses(own.hypotheses)
+    if core.fault_state == SUSPECTED:
+        core.fault_state = CLEAR
 
 
 @firmware
-def take_candidate(table: Table, state: layout.State, share: float, sign: float) -> None:
+def take_candidate(
+    table: Table, core: thesis.State, own: Supervision, share: float, sign: float
+) -> None:
     """Accept the candidate: ``share`` is lost (``sign`` 1) or works again (-1).
 
     From now on the filter learns the errors of share and moment.
     """
-    constants, test, known = table.loss_model, state.sequential_test, state.mismatch
-    clear_health(state.hypotheses.health)
+    constants, test, known = table.loss_model, own.sequential_test, own.mismatch
+    clear_health(own.hypotheses.health)
     doubt = constants.doubt / max(test.candidate.information, table.decision.suspect)
     doubt = max(doubt, constants.least_doubt)
     moment = constants.moment * test.candidate.age
-    take_over_candidate(table, state.loss_model, known, test, share, sign)
-    transfer_to_losses(table, state)
+    take_over_candidate(table, own.loss_model, known, test, share, sign)
+    transfer_to_losses(table, core, own)
     forget_candidate(table, test, known, sign * share)
     learn_loss(table.mismatch, known, min(constants.share_variance, doubt), moment * moment)
-    restart_test(table, state)
-    begin_all(state.hypotheses.signatures)
+    restart_test(table, core, own)
+    begin_all(own.hypotheses.signatures)
 
 
 @firmware
-def transfer_to_losses(table: Table, state: layout.State) -> None:
+def transfer_to_losses(table: Table, core: thesis.State, own: Supervision) -> None:
     """Begin a bumpless transfer of F̂ to the known loss."""
-    loss, heard = state.loss_model, state.echoes
+    loss, heard = own.loss_model, own.echoes
     lost = loss.previous_fading + loss.followed * loss.previous_output
     lost += heard.actuators[TORQUE].previous - heard.handed
-    speed = missing_by_loss(table, state) - lost
-    begin_transfer(table.bumpless_transfer, state.bumpless_transfer, lost, speed)
+    speed = missing_by_loss(table, core, own) - lost
+    begin_transfer(table.bumpless_transfer, own.bumpless_transfer, lost, speed)
 
 
 @firmware
-def missing_by_loss(table: Table, state: layout.State) -> float:
+def missing_by_loss(table: Table, core: thesis.State, own: Supervision) -> float:
     """The input of F̂ in this tick: the known missing output."""
-    command = lost_command(state.fault_state, state.command_1)
-    return compensated_output(table, state.loss_model, state.echoes, command)
+    command = lost_command(core.fault_state, core.command_1)
+    return compensated_output(table, own.loss_model, own.echoes, command)
 
 
 @firmware

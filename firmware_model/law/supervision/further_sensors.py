@@ -31,16 +31,17 @@ def hear(table: Table, state: layout.State, sensor: float, value: float, age_tic
     sample, age = real(value, state.command_1), real(age_ticks, state.command_1)
     if not (math.isfinite(sample) and age >= 0.0 and age < real(KEPT_TICKS, age)):
         return
-    if is_damaged(state.estimator, state.echoes, state.witness, state.mismatch):
+    own = state.supervision
+    if is_damaged(state.estimator, own.echoes, own.witness, own.mismatch):
         return
     if sensor == 1.0:
-        take_echo(table.echoes, state.echoes, TORQUE, sample, age)
+        take_echo(table.echoes, own.echoes, TORQUE, sample, age)
     elif sensor == 2.0:
-        take_echo(table.echoes, state.echoes, FORCE, sample, age)
+        take_echo(table.echoes, own.echoes, FORCE, sample, age)
     elif sensor == 3.0:
-        take_sample(table, state.witness.yaw_rate, sample, age)
+        take_sample(table, own.witness.yaw_rate, sample, age)
     elif sensor == 4.0:
-        take_sample(table, state.witness.acceleration, sample, age)
+        take_sample(table, own.witness.acceleration, sample, age)
 
 
 @firmware

@@ -1,6 +1,6 @@
 """What is known of the car and of its actuators, in a form that outlives a restart.
 
-``save`` writes the knowledge into ``state.saved``; the node keeps those bytes. After power-up the
+``save`` writes the knowledge into ``saved``; the node keeps those bytes. After power-up the
 node puts the bytes back, and the first tick with both inputs begins with them. So a known loss is
 compensated from the first tick, and no test has to find the loss again. The end of standby is such
 a begin too.
@@ -18,7 +18,7 @@ from firmware_model.compiled import firmware
 from firmware_model.law.core.biquad import settle
 from firmware_model.law.precision import real
 from firmware_model.law.structs import FloatArray, Struct
-from firmware_model.law.supervision.covariance import MAX_STATES, SIZES, variance_of
+from firmware_model.law.supervision.covariance import MAX_STATES, SHARE, SIZES, variance_of
 from firmware_model.law.supervision.loss_model import CONFIRMED, known_share
 from firmware_model.law.supervision.mismatch import learn_loss
 from firmware_model.law.supervision.verdict import ANOTHER_CAR, BOTH_LOST, SENSOR_FROZEN
@@ -26,7 +26,7 @@ from firmware_model.law.supervision.whitener import settle_whitener
 
 if TYPE_CHECKING:
     from firmware_model.law import layout
-    from firmware_model.law.layout import Table
+    from firmware_model.law.layout import Supervision, Table
     from firmware_model.law.supervision import loss_model, mismatch, verdict
 
 
@@ -45,27 +45,27 @@ class Saved(Struct):
 
 
 @firmware
-def save(state: layout.State) -> None:
-    """Write into ``state.saved`` what is known now; saved knowledge without a begin yet stays."""
-    own = state.saved
+def save(known: Supervision, fault_state: int) -> None:
+    """Write into ``saved`` what is known now; saved knowledge without a begin yet stays."""
+    own = known.saved
     if own.fingerprint != 0:
         return
     own.fingerprint = 1
-    own.fault_state = state.fault_state
-    own.share = known_share(state.loss_model, state.mismatch)
-    own.share_variance = variance_of(state.mismatch.covariance, 0)
-    own.verdict = state.hypotheses.verdict
-    own.found_size = state.hypotheses.found_size
-    own.offset = state.hypotheses.sensor_error.offset
+    own.fault_state = fault_state
+    own.share = known_share(known.loss_model, known.mismatch)
+    own.share_variance = variance_of(known.mismatch.covariance, SHARE)
+    own.verdict = known.hypotheses.verdict
+    own.found_size = known.hypotheses.found_size
+    own.offset = known.hypotheses.sensor_error.offset
     for i in range(MAX_STATES):
-        own.theta[i] = state.mismatch.theta[i]
+        own.theta[i] = known.mismatch.theta[i]
 
 
 def saved_in(state: layout.State) -> Saved:
     """What a begin of a controller can use of ``state``; ``state`` stays as it is."""
-    own: Saved = state.saved
+    own: Saved = state.supervision.saved
     before = own.fingerprint
-    save(state)
+    save(state.supervision, state.fault_state)
     found = own.copy()
     own.fingerprint = before
     return found

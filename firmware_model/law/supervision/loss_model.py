@@ -18,6 +18,7 @@ from firmware_model.law.core.biquad import advance, output
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import MAX_SHOWN_TICKS, FloatArray, Struct
+from firmware_model.law.supervision.covariance import MOMENT, SHARE
 from firmware_model.law.supervision.echoes import FORCE, TORQUE, known_output
 from firmware_model.law.supervision.whitener import add_signal
 
@@ -128,7 +129,7 @@ def earlier_shown(table: Table, own: State) -> float:
 @firmware
 def known_share(own: State, known: mismatch.State) -> float:
     """The present estimate of s, 0..1."""
-    return possible_share(own.share + known.theta[0])
+    return possible_share(own.share + known.theta[SHARE])
 
 
 @firmware
@@ -179,7 +180,7 @@ def take_over_candidate(
         sign: 1 or -1.
     """
     g1 = table.estimator.channel_1
-    before, moment = known_share(own, known), known.theta[1]
+    before, moment = known_share(own, known), known.theta[MOMENT]
     shift = moment * output(g1, own.earlier, real(0.0, share))
     for i in range(g1.n):
         for j in range(2):

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from firmware_model.compiled import firmware
 from firmware_model.law.core.biquad import advance
-from firmware_model.law.core.estimator import revise
 from firmware_model.law.precision import real
 from firmware_model.law.status import FaultState
 from firmware_model.law.structs import MAX_SECTIONS, Records
@@ -22,6 +21,15 @@ if TYPE_CHECKING:
 
 
 CONFIRMED = int(FaultState.CONFIRMED)
+
+
+@firmware
+def revise(queue: estimator.Queue, ticks: int, waits: int, command: float) -> float:
+    """Put ``command`` in place of the command that has waited for ``waits`` ticks; return that."""
+    at = (queue.index + ticks - waits) % max(ticks, 1)
+    before: float = queue.commands[at]
+    queue.commands[at] = command
+    return before
 
 
 @firmware
@@ -43,7 +51,7 @@ def act(
     late_2 = revise(model.queue_2, constants.shown_ticks_2, latency, command_2)
     lost_1 = real(late_1 - command_1, state.command_1)
     lost_2 = real(late_2 - command_2, state.command_2)
-    test, loss = state.sequential_test, state.loss_model
+    test, loss = state.supervision.sequential_test, state.supervision.loss_model
     first = model.queue_1.index - latency
     lose_command_1(constants, state.shortfall_1, test, loss, owes, motion, first, lost_1)
     first = model.queue_2.index - latency

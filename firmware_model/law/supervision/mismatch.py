@@ -39,6 +39,8 @@ from firmware_model.law.supervision.covariance import (
     LOSS_STATES,
     MAX_DIRECTIONS,
     MAX_STATES,
+    MOMENT,
+    SHARE,
     SIZES,
     State as CovarianceState,
     clear_covariance,
@@ -125,9 +127,9 @@ def predict_mismatch(
     x, previous, w, white = known.regressor, known.x, constants.whitener, known.white
     extent = change = real(0.0, model_output)
     if known.covariance.first == 0:
-        x[0] = whiten(w, white.lost, lost)
-        x[1] = whiten(w, white.earlier, earlier)
-    previous[0], previous[1] = lost, earlier
+        x[SHARE] = whiten(w, white.lost, lost)
+        x[MOMENT] = whiten(w, white.earlier, earlier)
+    previous[SHARE], previous[MOMENT] = lost, earlier
     for i in range(table.other_cars.n):
         k, now = LOSS_STATES + i, shown[i]
         moved = now - previous[k]
@@ -188,8 +190,8 @@ def innovation(
     shown = whiten(w, state.white.d_hat, residual)
     hidden = whiten(w, state.white.sensor_error, known)
     left = whiten(w, state.white.fading, fading)
-    new: float = shown + hidden - left - share * x[0]
-    state.previous_residual = residual + known - fading - share * state.x[0]
+    new: float = shown + hidden - left - share * x[SHARE]
+    state.previous_residual = residual + known - fading - share * state.x[SHARE]
     for i in range(first, n):
         new -= x[i] * theta[i]
     noise = constants.noise + constants.white * state.remainder

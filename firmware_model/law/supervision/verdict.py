@@ -25,7 +25,7 @@ from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray, Struct
 from firmware_model.law.supervision import candidate, echoes, mismatch, signatures, witness
 from firmware_model.law.supervision.corroboration import sensor_waits
-from firmware_model.law.supervision.covariance import LOSS_STATES, variance_of
+from firmware_model.law.supervision.covariance import LOSS_STATES, SHARE, variance_of
 from firmware_model.law.supervision.echoes import (
     FORCE,
     TORQUE,
@@ -132,7 +132,7 @@ def take_evidence(
 def torque_evidence(known: mismatch.State, own: candidate.State, lost: bool, share: float) -> float:
     """The evidence of a lost torque: from the test, or where ``lost`` from the known share."""
     if lost:
-        return real(0.5, share) * share * share / variance_of(known.covariance, 0)
+        return real(0.5, share) * share * share / variance_of(known.covariance, SHARE)
     return own.evidence
 
 

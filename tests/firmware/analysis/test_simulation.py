@@ -203,7 +203,7 @@ def test_a_window_that_moves_on_sees_the_same_run(changing):
 @pytest.mark.parametrize("survives", [False, True])
 def test_a_restarted_controller_answers_as_a_fresh_one_while_the_plant_goes_on(survives):
     at_rest = init(TABLE)
-    at_rest["takeover"]["pending"] = UNKNOWN
+    at_rest["supervision"]["takeover"]["pending"] = UNKNOWN
     restart = (12, 15, survives)
     whole = Simulation(TABLE, sample(CAR, TICK_S), REFERENCE, restarts=[restart], at_rest=at_rest)
     whole.run(12)

@@ -96,23 +96,29 @@ ROW = {
 
 def weigh(table: Any, state: Any, innovation: float) -> None:
     """A tick of all signatures, with what ``state`` has of everything else."""
-    own, command_2 = state.hypotheses, state.other_cars.command_2
+    own, command_2 = state.supervision.hypotheses, state.supervision.other_cars.command_2
     weigh_signatures(
-        table, own.signatures, state.mismatch, state.echoes, command_2, own.verdict, innovation
+        table,
+        own.signatures,
+        state.supervision.mismatch,
+        state.supervision.echoes,
+        command_2,
+        own.verdict,
+        innovation,
     )
-    keep_before(own.signatures, state.sequential_test.candidate.age)
+    keep_before(own.signatures, state.supervision.sequential_test.candidate.age)
 
 
 def tick_on(table: Any, state: Any) -> None:
     """From that tick to the next."""
-    own, command_2 = state.hypotheses.signatures, state.other_cars.command_2
-    advance_signatures(table, own, state.echoes, command_2)
+    own, command_2 = state.supervision.hypotheses.signatures, state.supervision.other_cars.command_2
+    advance_signatures(table, own, state.supervision.echoes, command_2)
 
 
 def repeat(table: Any, state: Any, shown: float, expected: float) -> None:
     """A tick of the sensor that may be frozen."""
-    own = state.hypotheses.frozen
-    weigh_frozen(table, own, state.mismatch, state.measurement, shown, expected)
+    own = state.supervision.hypotheses.frozen
+    weigh_frozen(table, own, state.supervision.mismatch, state.measurement, shown, expected)
 
 
 def with_one_onset(**changes: Any) -> Any:

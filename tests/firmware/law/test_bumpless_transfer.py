@@ -30,7 +30,7 @@ def late(noise_rms: float = 0.0) -> Target:
 
 def begun(missed: float, speed: float) -> tuple[Any, Any]:
     table = build(DESIGN, late())
-    state = controller.init(table)[0]
+    state = controller.init(table)[0].supervision
     begin_transfer(table.bumpless_transfer, state.bumpless_transfer, missed, speed)
     return table, state.bumpless_transfer
 
@@ -58,7 +58,7 @@ def test_what_is_carried_already_is_not_missed(missed, speed, carried, earlier):
     F̂'s input goes on from its value and its speed, here ``carried`` after ``earlier``.
     """
     table = build(DESIGN, late())
-    state = controller.init(table)[0].bumpless_transfer
+    state = controller.init(table)[0].supervision.bumpless_transfer
     transfer(state, earlier)
     transfer(state, carried)
     value, change = missed + carried, speed + carried - earlier

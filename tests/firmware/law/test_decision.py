@@ -226,7 +226,7 @@ def test_no_verdict_takes_away_the_compensation_on_d_hat(verdict):
         for k in range(200):
             controller.step(table, state, 0.0, -0.2)
             if k == 50 and found:
-                state.hypotheses.verdict = state.hypotheses.found = found
+                state.supervision.hypotheses.verdict = state.supervision.hypotheses.found = found
             forces.append(float(state.command_2))
     np.testing.assert_array_equal(forces[:200], forces[200:])
     assert min(np.abs(forces[50:200])) > 100.0

@@ -282,9 +282,9 @@ def heard(*told: tuple[float, float]) -> tuple[Any, Any]:
     table = table_of()
     state = controller.init(table)[0]
     for output, echo in told:
-        state.echoes.actuators[TORQUE].outputs[:] = output
+        state.supervision.echoes.actuators[TORQUE].outputs[:] = output
         hear(table, state, 1.0, echo, 0.0)
-    return table.echoes.actuators[TORQUE], state.echoes.actuators[TORQUE]
+    return table.echoes.actuators[TORQUE], state.supervision.echoes.actuators[TORQUE]
 
 
 @pytest.mark.parametrize(
@@ -470,14 +470,15 @@ def test_a_settled_actuator_has_followed_its_command():
 def test_many_good_echoes_end_a_verdict(channel, verdict):
     table = table_of()
     state = controller.init(table)[0]
-    state.hypotheses.verdict = verdict
-    state.echoes.actuators[TORQUE].outputs[:] = state.echoes.actuators[FORCE].outputs[:] = 5.0
+    own = state.supervision
+    own.hypotheses.verdict = verdict
+    own.echoes.actuators[TORQUE].outputs[:] = own.echoes.actuators[FORCE].outputs[:] = 5.0
     for _ in range(int(table.echoes.working)):
-        assert standing(table, state.hypotheses, state.echoes, False) == verdict
+        assert standing(table, own.hypotheses, own.echoes, False) == verdict
         hear(table, state, float(channel), 4.9, 0.0)
-    assert standing(table, state.hypotheses, state.echoes, False) == Verdict.NOTHING
+    assert standing(table, own.hypotheses, own.echoes, False) == Verdict.NOTHING
     hear(table, state, float(channel), 2.0, 0.0)
-    assert standing(table, state.hypotheses, state.echoes, False) == verdict
+    assert standing(table, own.hypotheses, own.echoes, False) == verdict
 
 
 @pytest.mark.parametrize(("error", "ends"), [(0.2, False), (0.05, True)])
@@ -485,7 +486,7 @@ def test_a_believed_error_of_a_fifth_of_the_output_lasts(error, ends):
     """The error of an echo that nobody believes is a fault from a quarter of the output on."""
     table = table_of()
     state = controller.init(table)[0]
-    echo = state.echoes.actuators[TORQUE]
+    echo = state.supervision.echoes.actuators[TORQUE]
     echo.outputs[:], echo.believed = 100.0, 1
     for _ in range(int(table.echoes.working)):
         hear(table, state, 1.0, 100.0 * (1.0 - error), 0.0)

@@ -13,8 +13,9 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin
 from firmware_model.law.controller import init
-from firmware_model.law.core.estimator import advance_model, model_output, settle_estimator
+from firmware_model.law.core.estimator import advance_model, model_output
 from firmware_model.law.structs import FloatArray
+from firmware_model.law.supervision.steady_state import settle_estimator
 
 CAR, TICK_S, TICKS = steer_by_wire(), 1e-3, 60
 MODELS = tustin(CAR.g1, TICK_S).sos, tustin(CAR.g2, TICK_S).sos

@@ -28,7 +28,7 @@ SECOND = round(1.0 / TICK_S)
 
 def told(residuals, share, w, errors, begins=()):
     """What ``is_healthy`` says tick by tick; the sums begin anew in the ticks ``begins``."""
-    own = controller.init(TABLE)[0].hypotheses.health
+    own = controller.init(TABLE)[0].supervision.hypotheses.health
     says = []
     for k, (residual, lost, error) in enumerate(zip(residuals, w, errors, strict=True)):
         if k in begins:

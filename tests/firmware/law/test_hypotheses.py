@@ -39,8 +39,8 @@ def filtered(table: Any, residual: FloatArray, x: FloatArray) -> tuple[FloatArra
     state = controller.init(table)[0]
     n, rows = int(table.mismatch.n), []
     for k, value in enumerate(residual.tolist()):
-        state.mismatch.regressor[:n] = x[k, :n]
-        rows.append(innovation(table.mismatch, state.mismatch, value, 0.0, 0.0, 0.0))
+        state.supervision.mismatch.regressor[:n] = x[k, :n]
+        rows.append(innovation(table.mismatch, state.supervision.mismatch, value, 0.0, 0.0, 0.0))
     return np.array(rows), state
 
 
@@ -55,7 +55,7 @@ def test_a_signature_is_what_the_fault_changes_in_the_innovations(noise_pole):
     healthy = draw.standard_normal(TICKS)
     without, _ = filtered(table, healthy, x)
     with_fault, _ = filtered(table, healthy + size * shown, x)
-    state = controller.init(table)[0]
+    state = controller.init(table)[0].supervision
     own = state.hypotheses.signatures.rows[BIAS_ROW].candidate
     limits = table.hypotheses.signatures.rows[BIAS_ROW].limits
     correlation = information = 0.0
@@ -76,10 +76,11 @@ def test_a_signature_is_what_the_fault_changes_in_the_innovations(noise_pole):
 def test_a_bias_jumps_in_the_tick_after_a_verdict_as_in_any_other(new, variance):
     """Its onset is that tick already, so it begins again or not as the last bit falls."""
     table, state = NO_CARS, controller.init(NO_CARS)[0]
-    begin_all(state.hypotheses.signatures)
-    state.mismatch.variance = variance
+    own = state.supervision
+    begin_all(own.hypotheses.signatures)
+    own.mismatch.variance = variance
     weigh(table, state, new)
-    assert state.hypotheses.signatures.jump == pytest.approx(0.5 * new**2 / variance, rel=1e-12)
+    assert own.hypotheses.signatures.jump == pytest.approx(0.5 * new**2 / variance, rel=1e-12)
 
 
 @given(st.integers(0, 10**6), st.sampled_from([(-math.inf, math.inf), (0.5, 1.5), (-0.1, 0.1)]))
@@ -88,7 +89,7 @@ def test_evidence_is_the_likelihood_ratio_of_the_likeliest_size(seed, limits):
     draw = np.random.default_rng(seed)
     f, sigma = draw.standard_normal(12), draw.uniform(0.5, 2.0, 12)
     new = draw.uniform(-1, 1) * f + sigma * draw.standard_normal(12)
-    table, state = NO_CARS, controller.init(NO_CARS)[0]
+    table, state = NO_CARS, controller.init(NO_CARS)[0].supervision
     own, bounds = (
         state.hypotheses.signatures.rows[FORCE_ROW].candidate,
         table.hypotheses.torque_lost,
@@ -119,13 +120,13 @@ def test_where_nothing_is_known_the_size_is_none():
 def test_what_each_fault_adds_to_the_estimate():
     """Against the step response of the continuous plant and a simulation by scipy's state space."""
     table, state = NO_CARS, controller.init(NO_CARS)[0]
-    own = state.hypotheses.signatures
-    state.mismatch.variance = 1.0
+    own = state.supervision.hypotheses.signatures
+    state.supervision.mismatch.variance = 1.0
     draw = np.random.default_rng(1)
     force = 1000.0 * draw.standard_normal(TICKS)
     rows = []
     for k in range(TICKS):
-        state.other_cars.command_2 = force[k]
+        state.supervision.other_cars.command_2 = force[k]
         weigh(table, state, 0.0)
         rows.append(
             [own.rows[ROW[name]].candidate.information
@@ -153,8 +154,8 @@ def test_a_frozen_sensor_repeats_itself_while_the_model_moves(moves):
     table = with_one_onset(resolution=0.001)
     state = controller.init(table)[0]
     table.mismatch.n = 0
-    own = state.hypotheses.frozen
-    state.mismatch.variance = 0.02**2
+    own = state.supervision.hypotheses.frozen
+    state.supervision.mismatch.variance = 0.02**2
     expected = 0.1 * np.arange(6) if moves else np.zeros(6)
     for k in range(6):
         state.measurement = 0.3

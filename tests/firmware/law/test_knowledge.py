@@ -74,11 +74,11 @@ def test_the_steady_state_with_a_known_loss_repeats_its_commands(on_confirmation
     quiet = table_of(noise_rms=0.0, on_confirmation=on_confirmation)
     loop = lost(0.5, on_confirmation=on_confirmation)
     state = controller.init(quiet)[0]
-    state.saved = knowledge.saved_in(loop.firmware._states[0])
-    state.saved.theta[:] = 0.0  # the model itself
-    share = float(state.saved.share)
+    state.supervision.saved = knowledge.saved_in(loop.firmware._states[0])
+    state.supervision.saved.theta[:] = 0.0  # the model itself
+    share = float(state.supervision.saved.share)
     assert share == pytest.approx(0.5, abs=0.02)
-    controller.settle_loop(quiet, state, 0.8)
+    controller.settle_loop(quiet, state, state.supervision, 0.8)
     first = [float(state[name]) for name in ("command_1", "command_2", "fault_estimate")]
     assert first[2] == pytest.approx(share * 0.8, rel=1e-9)
     for _ in range(50):
@@ -107,13 +107,13 @@ def test_a_known_error_of_the_sensor_stays_known():
 def test_the_car_stays_known():
     loop = Loop(TABLE, noise_rms=0.002)
     loop.run(1000)
-    known = loop.firmware._states[0].mismatch
+    known = loop.firmware._states[0].supervision.mismatch
     theta = known.theta.copy()
     restart(loop, True)
     state = loop.firmware._states[0]
     loop.firmware.step(np.nan, np.nan)
-    controller.take_over(TABLE, state, 0.0, 0.0)
-    np.testing.assert_array_equal(state.mismatch.theta[2:], theta[2:])
+    controller.take_over(TABLE, state, state.supervision, 0.0, 0.0)
+    np.testing.assert_array_equal(state.supervision.mismatch.theta[2:], theta[2:])
     assert theta[2:].any()
 
 

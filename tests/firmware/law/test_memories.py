@@ -46,6 +46,7 @@ def leaves(struct: type[Struct], record: Any, path: str = "") -> dict[str, Any]:
 def used(table: Any, seed: int = 1) -> Any:
     """A state in which every number is another than at rest."""
     state = controller.init(table)[0]
+    own = state.supervision
     draw = np.random.default_rng(seed)
 
     def fill(struct: type[Struct], record: Any) -> None:
@@ -60,7 +61,7 @@ def used(table: Any, seed: int = 1) -> Any:
 
     fill(State, state)
     state.fault_state, state.mode = FaultState.CONFIRMED, Mode.RUN
-    state.standby.slow, state.standby.elapsed, state.saved.fingerprint = 0, 0.0, 0
+    (own.standby.slow, own.standby.elapsed, own.saved.fingerprint) = 0, 0.0, 0
     return state
 
 
@@ -76,7 +77,7 @@ def answers(table: Any, state: Any, ticks: int = 25) -> list[list[float]]:
     for k in range(ticks):
         measurement = math.nan if k in (4, 5) else 0.4 + 0.01 * draw.standard_normal()
         controller.step(table, state, 0.4 + 0.01 * k, measurement)
-        torque, known = state.sequential_test.candidate, state.mismatch
+        torque, known = state.supervision.sequential_test.candidate, state.supervision.mismatch
         said = (state.command_1, state.command_2, state.fault_estimate, state.mode)
         rows.append(
             [*said, state.fault_state, torque.predicted, *known.theta, *known.x, known.change]
@@ -106,7 +107,7 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation):
     table = table_of(on_confirmation=on_confirmation)
     state = used(table)
     expected = state.copy()
-    clear_memories(table, state)
+    clear_memories(table, state, state.supervision)
     expected.tracking.filter.accumulators[:] = 0.0
     expected.tracking.error = 0.0
     expected.tracking.stabiliser.accumulators[:] = 0.0
@@ -114,7 +115,7 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation):
     expected.estimator.one_plus_q.accumulators[:] = 0.0
     if not on_confirmation:
         expected.compensator.filter.accumulators[:] = 0.0
-    known = expected.mismatch
+    known = expected.supervision.mismatch
     for name in ("x", "theta", "extent", "change", "remainder", "previous_model_output",
                  "previous_residual", "rule"):  # fmt: skip
         known[name] = 0.0
@@ -123,14 +124,14 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation):
     known.covariance.lower[:] = 0.0
     known.covariance.variances[:] = [0.0, 0.0, 0.36, 0.36, 0.36, 0.36, 0.0]
     for name in ("difference", "fading", "elapsed"):
-        expected.prediction[name] = 0.0
-    settle_witness(expected.witness, 0.0)
-    expected.corroboration.slow = expected.corroboration.sudden = 0.0
-    restart_test(table, expected)
-    clear_hypotheses(expected.hypotheses)
-    end_takeover(expected.takeover)
-    asked = {"estimator.showing_1", "estimator.showing_2", "other_cars.command_1",
-             "other_cars.command_2", "other_cars.shown"}  # fmt: skip
+        expected.supervision.prediction[name] = 0.0
+    settle_witness(expected.supervision.witness, 0.0)
+    expected.supervision.corroboration.slow = expected.supervision.corroboration.sudden = 0.0
+    restart_test(table, expected, expected.supervision)
+    clear_hypotheses(expected.supervision.hypotheses)
+    end_takeover(expected.supervision.takeover)
+    asked = {"estimator.showing_1", "estimator.showing_2", "supervision.other_cars.command_1",
+             "supervision.other_cars.command_2", "supervision.other_cars.shown"}  # fmt: skip
     assert changes(state, expected) <= asked  # what each model shows of no command
     assert state.fault_state == FaultState.CONFIRMED
 
@@ -138,8 +139,9 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation):
 LOST = [
     "estimator.channel_1.accumulators", "estimator.channel_2.accumulators",
     "shortfall_1.accumulators", "shortfall_2.accumulators", "compensator.filter.accumulators",
-    "loss_model.channel_1.accumulators", "other_cars.model.channel_1.accumulators",
-    *(f"other_cars.cars.{i}.channel_2.accumulators" for i in range(4)), "reference_shaper.shaped",
+    "supervision.loss_model.channel_1.accumulators",
+    "supervision.other_cars.model.channel_1.accumulators", "reference_shaper.shaped",
+    *(f"supervision.other_cars.cars.{i}.channel_2.accumulators" for i in range(4)),
 ]  # fmt: skip
 
 
@@ -156,20 +158,20 @@ def test_where_one_of_the_models_is_lost_nothing_is_known_any_more(path):
         part[name][0, 0] = math.inf
     else:
         part[name] = math.inf
-    state.loss_model.followed = 1.0
-    clear_memories(table, state)
+    state.supervision.loss_model.followed = 1.0
+    clear_memories(table, state, state.supervision)
     assert state.fault_state == FaultState.CLEAR
     fresh.command_1, fresh.command_2 = state.command_1, state.command_2
     for name in ("queue_1", "queue_2"):
         fresh.estimator[name] = state.estimator[name]  # what is on its way still comes
     fresh.reference_shaper.previous_reference = state.reference_shaper.previous_reference
-    fresh.takeover.pending = 1
-    restart_test(table, fresh)
+    fresh.supervision.takeover.pending = 1
+    restart_test(table, fresh, fresh.supervision)
     assert answers(table, state) == answers(table, fresh)
 
 
-INDICES = ["estimator.queue_1.index", "estimator.queue_2.index", "echoes.index", "witness.index",
-           "mismatch.covariance.first"]  # fmt: skip
+INDICES = ["estimator.queue_1.index", "estimator.queue_2.index", "supervision.echoes.index",
+           "supervision.witness.index", "supervision.mismatch.covariance.first"]  # fmt: skip
 
 
 @pytest.mark.parametrize("path", INDICES)
@@ -188,7 +190,7 @@ def test_a_damaged_index_reaches_nothing_and_is_whole_after_a_tick(path, index):
         return table, state
 
     rows = []
-    for record, field in ((".".join(way), last), ("witness", "index")):
+    for record, field in ((".".join(way), last), ("supervision.witness", "index")):
         table, state = damaged(record, field)
         rows.append(answers(table, state))
         assert 0 <= leaves(State, state)[path] <= 2

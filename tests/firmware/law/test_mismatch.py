@@ -58,18 +58,19 @@ def predict(
     table: Any, state: Any, command: float, model: float, lost: float, earlier: float = 0.0
 ) -> None:
     """A tick of the other cars and of the mismatch."""
-    show_other_cars(table, state.other_cars, state.estimator.measured, command, 0.0)
-    predict_mismatch(table, state.mismatch, state.other_cars.shown, model, lost, earlier)
-    advance_other_cars(table, state.other_cars, state.estimator.measured, state.command_2)
+    own = state.supervision
+    show_other_cars(table, own.other_cars, state.estimator.measured, command, 0.0)
+    predict_mismatch(table, own.mismatch, own.other_cars.shown, model, lost, earlier)
+    advance_other_cars(table, own.other_cars, state.estimator.measured, state.command_2)
 
 
 def predicted(table: Any) -> NDArray[Any]:
     """A row a tick: regressor, extent, M and the remainder's variance."""
     state, rows = controller.init(table)[0], []
-    learn_loss(table.mismatch, state.mismatch, 0.09, 25.0)
+    learn_loss(table.mismatch, state.supervision.mismatch, 0.09, 25.0)
     for drive in zip(COMMANDS, MODELLED, LOST, EARLIER, strict=True):
         predict(table, state, *drive)
-        known = state.mismatch
+        known = state.supervision.mismatch
         rows.append([*known.regressor, known.extent, known.change, known.remainder])
     return np.array(rows)
 
@@ -93,7 +94,7 @@ def test_the_lost_w_and_what_is_earlier_are_kept_for_the_tick_after():
     table = tables_of(1)[0]
     state = controller.init(table)[0]
     predict(table, state, 1.0, 0.5, 0.3, 0.2)
-    assert state.mismatch.x[:2].tolist() == [0.3, 0.2]
+    assert state.supervision.mismatch.x[:2].tolist() == [0.3, 0.2]
 
 
 def fading_largest(values: NDArray[Any]) -> NDArray[Any]:
@@ -134,7 +135,7 @@ def test_what_is_not_finite_stays_in_no_memory():
     state = controller.init(table)[0]
     for model in (1e200, 0.0):
         predict(table, state, 0.0, model, 0.0)
-        assert state.mismatch.remainder == 0.0
+        assert state.supervision.mismatch.remainder == 0.0
 
 
 STILL = {"forgetting": 0.0, "growth": 0.0, "white": 0.0}
@@ -150,9 +151,9 @@ def test_theta_finds_the_place_of_a_car(place):
     residuals = place[0] * x[0] + place[1] * x[1] + noise
     for command, model, residual in zip(COMMANDS, MODELLED, residuals, strict=True):
         predict(tables[0], state, command, model, 0.0)
-        innovation(tables[0].mismatch, state.mismatch, residual, 0.0, 0.0, 0.0)
-    deviation = np.sqrt(np.diag(covariance_of(state.mismatch)))[2:4]
-    assert (np.abs(state.mismatch.theta[2:4] - place) < 4.0 * deviation).all()
+        innovation(tables[0].mismatch, state.supervision.mismatch, residual, 0.0, 0.0, 0.0)
+    deviation = np.sqrt(np.diag(covariance_of(state.supervision.mismatch)))[2:4]
+    assert (np.abs(state.supervision.mismatch.theta[2:4] - place) < 4.0 * deviation).all()
     assert deviation.max() < 0.05
 
 
@@ -171,8 +172,8 @@ def test_innovations_of_coloured_noise_on_another_car_are_white_and_as_large_as_
     state, new = controller.init(tables[0])[0], []
     for k, residual in enumerate(noise + 0.6 * x[0] - 0.3 * x[1]):
         predict(tables[0], state, u[k], modelled[k], 0.0)
-        value = innovation(tables[0].mismatch, state.mismatch, residual, 0.0, 0.0, 0.0)
-        new.append(value / math.sqrt(state.mismatch.variance))
+        value = innovation(tables[0].mismatch, state.supervision.mismatch, residual, 0.0, 0.0, 0.0)
+        new.append(value / math.sqrt(state.supervision.mismatch.variance))
     normal = np.array(new[200:])
     assert normal.var() == pytest.approx(1.0, abs=0.1)
     for lag in (1, 2, 5):
@@ -183,11 +184,12 @@ def test_a_settled_car_has_not_moved():
     """In a steady bend: x is that of the steady state, and M is nothing."""
     table = tables_of(2)[0]
     state, torque = controller.init(table)[0], 1.0 / CAR.g1.dc_gain
-    known = state.mismatch
+    own = state.supervision
+    known = own.mismatch
     known.theta[:] = known.x[:] = 7.0
     known.covariance.lower[:] = 0.3
-    settle_other_cars(table, state.other_cars, state.estimator.measured, torque, 0.0)
-    settle_mismatch(table, state.mismatch, state.other_cars.shown, 1.0)
+    settle_other_cars(table, own.other_cars, state.estimator.measured, torque, 0.0)
+    settle_mismatch(table, own.mismatch, own.other_cars.shown, 1.0)
     assert not known.theta.any()
     assert known.x[:2].tolist() == known.regressor[:2].tolist() == [0.0, 0.0]
     for _ in range(5):
@@ -204,7 +206,7 @@ def test_the_remainder_is_of_second_order(part):
     """Of a car with ``part`` of the box's θ, known or not, it is the square of that."""
     table = tables_of(4)[0]
     state = controller.init(table)[0]
-    known, cars = state.mismatch, slice(2, 6)
+    known, cars = state.supervision.mismatch, slice(2, 6)
     known.covariance.variances[cars] = 0.36 * part**2
     known.covariance.variances[2] = 0.0
     known.theta[2] = 0.6 * part
@@ -216,7 +218,7 @@ def test_the_remainder_is_of_second_order(part):
 
 def test_a_car_beyond_the_box_is_as_different_as_the_box_at_most():
     table = tables_of(2)[0]
-    state = controller.init(table)[0]
+    state = controller.init(table)[0].supervision
     assert difference(table, state.mismatch) == 1.0  # nothing is known of it
     state.mismatch.theta[2:4] = 10.0
     assert difference(table, state.mismatch) == 1.0
@@ -228,12 +230,13 @@ def test_a_doubted_motion_is_a_remainder_of_that_variance():
     variances = []
     for doubted in (0.0, 0.5):
         state = controller.init(table)[0]
-        doubt_motion(table.mismatch, state.mismatch, doubted)
+        own = state.supervision
+        doubt_motion(table.mismatch, own.mismatch, doubted)
         predict(table, state, 1.0, 0.0, 0.0)
         last = table.mismatch.n - 1
-        shown = float(state.mismatch.regressor[last])
-        innovation(table.mismatch, state.mismatch, 0.1, 0.0, 0.0, 0.0)
-        white = float(table.mismatch.white * state.mismatch.remainder)
-        variances.append(float(state.mismatch.variance) - doubted * shown**2 - white)
+        shown = float(own.mismatch.regressor[last])
+        innovation(table.mismatch, own.mismatch, 0.1, 0.0, 0.0, 0.0)
+        white = float(table.mismatch.white * own.mismatch.remainder)
+        variances.append(float(own.mismatch.variance) - doubted * shown**2 - white)
     assert shown > 0.0
     assert variances[0] == pytest.approx(variances[1], rel=1e-9)

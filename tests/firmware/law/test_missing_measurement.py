@@ -52,7 +52,7 @@ def drive(table: Any, lost: int | None, missed: int = MISSED) -> Run:
     rows = []
     for k, reference in enumerate(SINE.tolist()):
         missing = MISSING <= k < MISSING + missed
-        loss = state.loss_model
+        loss = state.supervision.loss_model
         w = float(loss.share * loss.delay[state.estimator.queue_1.index])
         controller.step(table, state, reference, math.nan if missing else y)
         rows.append(
@@ -181,7 +181,7 @@ def test_a_frozen_sensor_is_a_missing_measurement():
     for k, reference in enumerate(SINE.tolist()):
         frozen = y + noise[k] if k < MISSING else frozen
         controller.step(table, state, reference, frozen)
-        rows.append((reference - y, state.mode, state.hypotheses.verdict))
+        rows.append((reference - y, state.mode, state.supervision.hypotheses.verdict))
         late.append((float(state.command_1), float(state.command_2)))
         y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, *late.pop(0))
     error, mode, verdict = np.array(rows, dtype=np.float64).T

@@ -34,7 +34,7 @@ def begun(variance: float = 1.0) -> tuple[Any, Any]:
     numbers = table.hypotheses.signatures.candidate
     numbers.restart, numbers.lifetime, numbers.promising = -1.0, 1000.0, 8.0
     state = controller.init(table)[0]
-    state.mismatch.variance = variance
+    state.supervision.mismatch.variance = variance
     return table, state
 
 
@@ -44,11 +44,11 @@ def test_what_is_predicted_is_told_with_the_size_of_the_tick_before():
     draw = np.random.default_rng(3)
     f, sigma = draw.standard_normal(12), draw.uniform(0.5, 2.0, 12)
     new = 0.7 * f + sigma * draw.standard_normal(12)
-    own = state.hypotheses.signatures.rows[OFFSET_ROW].candidate
+    own = state.supervision.hypotheses.signatures.rows[OFFSET_ROW].candidate
     limits = table.hypotheses.signatures.rows[OFFSET_ROW].limits
     for k in range(12):
-        state.mismatch.variance = sigma[k] ** 2
-        take_in(table.mismatch, state.mismatch, own, limits, float(f[k]), float(new[k]))
+        state.supervision.mismatch.variance = sigma[k] ** 2
+        take_in(table.mismatch, state.supervision.mismatch, own, limits, float(f[k]), float(new[k]))
     fitted = np.cumsum(f * new / sigma**2) / np.cumsum(f**2 / sigma**2)
     before = np.concatenate([[0.0], fitted[:-1]])
     predicted = stats.norm.logpdf(new, before * f, sigma) - stats.norm.logpdf(new, 0.0, sigma)
@@ -64,14 +64,14 @@ def test_what_is_predicted_is_told_with_the_size_of_the_tick_before():
 )  # fmt: skip
 def test_the_last_number_with_which_a_candidate_is_given_up(age, evidence, predicted, failed):
     table, state = begun()
-    own = state.hypotheses.signatures.rows[OFFSET_ROW].candidate
+    own = state.supervision.hypotheses.signatures.rows[OFFSET_ROW].candidate
     own.age, own.evidence, own.predicted = age, evidence, predicted
     assert has_failed(table.hypotheses.signatures.candidate, own) == failed
 
 
 def test_a_candidate_that_begins_knows_nothing_of_the_last():
     _, state = begun()
-    own = state.hypotheses.signatures.rows[OFFSET_ROW].candidate
+    own = state.supervision.hypotheses.signatures.rows[OFFSET_ROW].candidate
     fresh = own.tobytes()
     for name in own.dtype.names:
         own[name] = 7.0
@@ -83,11 +83,11 @@ def test_a_candidate_that_begins_knows_nothing_of_the_last():
 def test_a_fault_of_an_actuator_begins_again_where_its_onset_was_none(name):
     """And what channel 2 was told, and did not do, is counted from the same onset."""
     table, state = begun()
-    own = state.hypotheses.signatures
+    own = state.supervision.hypotheses.signatures
     fresh = own.rows[ROW[name]].tobytes()
     own.rows[ROW[name]].candidate.predicted = -2.0
     own.rows[ROW[name]].answer.accumulators[:] = own.commanded = own.missing = own.before = 7.0
-    state.sequential_test.candidate.age = 3.0
+    state.supervision.sequential_test.candidate.age = 3.0
     weigh(table, state, 0.0)
     assert own.rows[ROW[name]].tobytes() == fresh
     assert (own.commanded == own.missing == own.before == 0.0) == (name == "force_lost")
@@ -95,9 +95,12 @@ def test_a_fault_of_an_actuator_begins_again_where_its_onset_was_none(name):
 
 def test_the_evidence_of_before_is_that_at_the_last_onset_of_a_loss_of_channel_1():
     table, state = begun()
-    own, evidence = state.hypotheses.signatures, []
+    own, evidence = state.supervision.hypotheses.signatures, []
     for age in (4.0, 0.0, 1.0, 2.0):
-        state.other_cars.command_2, state.sequential_test.candidate.age = 1000.0, age
+        state.supervision.other_cars.command_2, state.supervision.sequential_test.candidate.age = (
+            1000.0,
+            age,
+        )
         weigh(table, state, 0.5)
         tick_on(table, state)
         evidence.append(float(own.rows[FORCE_ROW].candidate.evidence))
@@ -109,10 +112,13 @@ def test_what_channel_2_was_told_and_what_of_it_is_missing():
     """By scipy's model of the channel: Σ (G2 u2)² and Σ G2 u2 d̂."""
     table, state = begun()
     table.hypotheses.signatures.candidate.restart = -math.inf
-    own, draw = state.hypotheses.signatures, np.random.default_rng(1)
+    own, draw = state.supervision.hypotheses.signatures, np.random.default_rng(1)
     force, residual = 1000.0 * draw.standard_normal(40), draw.standard_normal(40)
     for command, d_hat in zip(force, residual, strict=True):
-        state.other_cars.command_2, state.mismatch.previous_residual = command, d_hat
+        state.supervision.other_cars.command_2, state.supervision.mismatch.previous_residual = (
+            command,
+            d_hat,
+        )
         weigh(table, state, 0.0)
         tick_on(table, state)
     g2 = CAR.g2.numerator(), CAR.g2.denominator()
@@ -123,7 +129,7 @@ def test_what_channel_2_was_told_and_what_of_it_is_missing():
 
 @pytest.mark.parametrize(("missing", "gone"), [(0.5, False), (2.0, False), (2.01, True)])
 def test_channel_2_answers_no_more_where_more_than_half_is_missing(missing, gone):
-    own = begun()[1].hypotheses.signatures
+    own = begun()[1].supervision.hypotheses.signatures
     own.commanded, own.missing = 4.0, missing
     assert answers_no_more(own) == gone
 
@@ -132,9 +138,9 @@ def test_an_offset_takes_away_from_a_plant_that_answers_at_once_too():
     table, state = begun()
     table.estimator.channel_1.n = 1
     table.estimator.channel_1.coefficients[0] = 0.5, 0.0, 0.0, 0.0, 0.0
-    state.mismatch.variance = 1.0
+    state.supervision.mismatch.variance = 1.0
     weigh(table, state, 1.0)
-    assert state.hypotheses.signatures.rows[OFFSET_ROW].candidate.correlation == -0.5
+    assert state.supervision.hypotheses.signatures.rows[OFFSET_ROW].candidate.correlation == -0.5
 
 
 @pytest.mark.parametrize("name", ["sensor_biased", "sensor_drifting"])
@@ -152,7 +158,7 @@ def test_a_sensor_errs_from_now_on_where_this_tick_alone_explains_more(
     table, state = begun(variance=0.25)
     table.estimator.measurement.n = 1
     table.estimator.measurement.coefficients[0] = LAGS
-    own, new = state.hypotheses.signatures, math.sqrt(2.0 * 0.25 * fresh)
+    own, new = state.supervision.hypotheses.signatures, math.sqrt(2.0 * 0.25 * fresh)
     own.rows[DRIFT_ROW].ramp, candidate = -10.0, own.rows[ROW[name]].candidate
     candidate.information, candidate.correlation = 1e9, math.sqrt(2.0 * 1e9)
     candidate.age, candidate.predicted = 10.0, predicted
@@ -175,7 +181,7 @@ def test_a_tick_that_explains_as_much_as_all_before_is_no_onset():
     table, state = begun()
     for new in (1.0, 0.0, 0.0, 1.0):
         weigh(table, state, new)
-    candidate = state.hypotheses.signatures.rows[BIAS_ROW].candidate
+    candidate = state.supervision.hypotheses.signatures.rows[BIAS_ROW].candidate
     assert (candidate.age, candidate.evidence) == (4.0, 0.5)
 
 
@@ -188,7 +194,7 @@ def test_a_repetition_tells_something_where_the_model_has_moved_by_more_than_the
 ):
     """Either way, since the number came, and no longer than it has; of a d̂ that has not moved."""
     table, state = begun(variance=0.04)
-    constants, own = table.hypotheses.frozen, state.hypotheses.frozen
+    constants, own = table.hypotheses.frozen, state.supervision.hypotheses.frozen
     constants.least_motion, constants.repetition = 0.25, 3.0
     start_at, far = 0.0 if tells else 2.0, 1.0
     state.measurement = 0.3
@@ -199,7 +205,7 @@ def test_a_repetition_tells_something_where_the_model_has_moved_by_more_than_the
     ratio = stats.norm.logpdf(0.0, missing, 0.2) - stats.norm.logpdf(0.0, 0.0, 0.2)
     assert own.candidate.information == pytest.approx(missing @ missing / 0.04)
     assert own.evidence == pytest.approx(2 * 3.0 + ratio.sum() if tells else 0.0)
-    fresh = controller.init(table)[0].hypotheses.frozen.candidate
+    fresh = controller.init(table)[0].supervision.hypotheses.frozen.candidate
     state.measurement = 0.31
     repeat(table, state, 0.0, 0.0)
     assert own.candidate.tobytes() == fresh.tobytes()
@@ -214,5 +220,5 @@ def test_of_a_plant_that_is_not_stable_no_motion_is_missing():
     state.measurement = 0.3
     for expected in (0.0, 1.0, 2.0):
         repeat(table, state, 0.5, expected)
-    own = state.hypotheses.frozen
+    own = state.supervision.hypotheses.frozen
     assert (own.candidate.information, own.candidate.evidence, own.evidence) == (0.0, 0.0, 6.0)

@@ -39,12 +39,13 @@ def differences(mismatch: Mismatch, commands: Any) -> FloatArray:
 
 
 def shown(table: Any, state: Any, commands: FloatArray) -> FloatArray:
+    own = state.supervision
     rows = []
     for command_1, command_2 in commands.T:
         state.command_2 = command_2
-        show_other_cars(table, state.other_cars, state.estimator.measured, command_1, command_2)
-        rows.append(state.other_cars.shown.copy())
-        advance_other_cars(table, state.other_cars, state.estimator.measured, state.command_2)
+        show_other_cars(table, own.other_cars, state.estimator.measured, command_1, command_2)
+        rows.append(own.other_cars.shown.copy())
+        advance_other_cars(table, own.other_cars, state.estimator.measured, state.command_2)
     return np.array(rows).T
 
 
@@ -74,15 +75,15 @@ def test_settled_cars_stay_and_cleared_cars_rest(parameters):
     state = controller.init(table)[0]
     shown(table, state, random_commands(20))
     steady = np.array([[3.0], [-40.0]])
-    settle_other_cars(table, state.other_cars, state.estimator.measured, *steady[:, 0])
-    at_once = state.other_cars.shown.copy()
+    settle_other_cars(table, state.supervision.other_cars, state.estimator.measured, *steady[:, 0])
+    at_once = state.supervision.other_cars.shown.copy()
     stays = shown(table, state, np.repeat(steady, 5, axis=1))
     np.testing.assert_array_equal(stays[:, 0], at_once)
     for x, (g1, g2) in zip(stays, mismatch.cars, strict=False):
         by_gain = 3.0 * (g1.dc_gain - CAR.g1.dc_gain) - 40.0 * (g2.dc_gain - CAR.g2.dc_gain)
         np.testing.assert_allclose(x, by_gain / 0.05, rtol=1e-9)
-    clear_other_cars(state.other_cars)
-    own = state.other_cars
+    clear_other_cars(state.supervision.other_cars)
+    own = state.supervision.other_cars
     assert (own.command_1, own.command_2) == (0.0, 0.0)
     assert not own.shown.any()
     assert not shown(table, state, np.zeros((2, 5))).any()
@@ -99,11 +100,11 @@ def test_commands_drive_them_when_they_act_and_lost_ones_do_not(latency, share):
     for k in range(ticks):
         if k == lost:
             state.fault_state = FaultState.CONFIRMED
-            state.loss_model.share = share
+            state.supervision.loss_model.share = share
         y = math.nan if k in (60, 150, 151, 152, 153) else 0.02 * math.cos(0.1 * k)
         controller.step(tables[0], state, math.sin(0.05 * k), y)
         sent.append((float(state.command_1), float(state.command_2)))
-        rows.append(state.other_cars.shown[:2].copy())
+        rows.append(state.supervision.other_cars.shown[:2].copy())
     acting = np.vstack([np.zeros((latency, 2)), sent])[:ticks].T
     acting[0, lost:] *= 1.0 - share
     expected = differences(mismatch, acting)
@@ -120,13 +121,15 @@ def test_what_command_2_makes_within_the_tick_is_that_of_the_held_one():
     through -= table.estimator.channel_2.coefficients[:, 0].prod(where=np.arange(8) < 2)
     for k in range(30):
         held = float(state.command_2)
-        before = state.other_cars.copy()
+        before = state.supervision.other_cars.copy()
         controller.step(table, state, math.sin(0.05 * k), 0.02 * math.cos(0.1 * k))
-        shown = float(state.other_cars.shown[0])
+        shown = float(state.supervision.other_cars.shown[0])
         mine = controller.init(table)[0]
-        mine.other_cars = before
-        show_other_cars(table, mine.other_cars, mine.estimator.measured, state.command_1, 0.0)
-        pairs.append((shown - float(mine.other_cars.shown[0]), through * held / 0.05))
+        mine.supervision.other_cars = before
+        show_other_cars(
+            table, mine.supervision.other_cars, mine.estimator.measured, state.command_1, 0.0
+        )
+        pairs.append((shown - float(mine.supervision.other_cars.shown[0]), through * held / 0.05))
     found, expected = np.array(pairs).T
     assert np.abs(expected).max() > 1e-6
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())

@@ -58,7 +58,7 @@ def drive(
         controller.step(table, state, math.sin(0.05 * k), math.nan if k in missing else y)
         commands = float(state.command_1), float(state.command_2)
         signals.append((float(state.fault_estimate), *commands, y))
-        shown.append(state.other_cars.shown[: len(cars)].copy())
+        shown.append(state.supervision.other_cars.shown[: len(cars)].copy())
         x = held.phi @ x + held.gamma @ commands
     return np.array(signals).T, np.array(shown).T
 
@@ -103,7 +103,7 @@ def test_an_unstable_plant_is_expected_where_what_is_not_lost_takes_it(share, re
     state = controller.init(table)[0]
     state.command_1, state.command_2 = 5.0, 300.0
     state.fault_state = FaultState.CONFIRMED if share else FaultState.CLEAR
-    state.loss_model.share = share
+    state.supervision.loss_model.share = share
     before = at_rest()
     for _ in range(3):
         model_1, model_2 = model_output(table.estimator, state.estimator, 0.0, 0.0)

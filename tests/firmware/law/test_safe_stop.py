@@ -23,7 +23,7 @@ def lost(safe_stop_s: float = TICKS * TICK_S, **changes: Any) -> tuple[Any, Any]
     state = controller.init(table)[0]
     controller.step(table, state, 0.0, 0.0)
     state.command_1, state.command_2 = 8.0, -400.0
-    state.hypotheses.verdict = Verdict.BOTH_LOST
+    state.supervision.hypotheses.verdict = Verdict.BOTH_LOST
     state.monitor.powerless = table.safe_stop.certain
     return table, state
 
@@ -59,7 +59,7 @@ def test_without_a_duration_the_verdict_changes_no_command():
     found = []
     for verdict in (Verdict.NOTHING, Verdict.BOTH_LOST):
         table, state = lost(0.0)
-        state.hypotheses.verdict = verdict
+        state.supervision.hypotheses.verdict = verdict
         found.append(commands(table, state, 3))
         assert state.mode == Mode.RUN
     np.testing.assert_array_equal(*found)
@@ -78,11 +78,11 @@ def test_without_a_duration_the_verdict_changes_no_command():
 def test_a_lost_torque_and_commands_without_effect_stop(fault_state, verdict, missing, mode):
     table, state = lost()
     assert table.safe_stop.certain == pytest.approx(0.3 / TICK_S)
-    state.fault_state, state.hypotheses.verdict = fault_state, verdict
+    state.fault_state, state.supervision.hypotheses.verdict = fault_state, verdict
     state.monitor.powerless = table.safe_stop.certain - missing
     commands(table, state, 3)
     assert state.mode == mode
-    assert (state.hypotheses.verdict == Verdict.BOTH_LOST) == (mode == Mode.SAFE_STOP)
+    assert (state.supervision.hypotheses.verdict == Verdict.BOTH_LOST) == (mode == Mode.SAFE_STOP)
 
 
 def test_it_ends_with_a_reset_and_begins_anew():
@@ -93,7 +93,7 @@ def test_it_ends_with_a_reset_and_begins_anew():
     assert state.mode == Mode.RUN
     assert np.abs(first).max() > 0.0
     state.command_1, state.command_2 = 8.0, -400.0
-    state.hypotheses.verdict = Verdict.BOTH_LOST
+    state.supervision.hypotheses.verdict = Verdict.BOTH_LOST
     state.monitor.powerless = table.safe_stop.certain
     np.testing.assert_allclose(commands(table, state, 1)[:, 0], [7.6, -380.0])
 

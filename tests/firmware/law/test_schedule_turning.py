@@ -25,22 +25,22 @@ ONES = (  # whatever follows G1, and whatever follows G2
     (
         lambda s: s.estimator.channel_1,
         lambda s: s.shortfall_1,
-        lambda s: s.sequential_test.channel_1,
-        lambda s: s.sequential_test.earlier,
-        lambda s: s.loss_model.channel_1,
-        lambda s: s.loss_model.earlier,
-        lambda s: s.hypotheses.signatures.rows[OFFSET_ROW].answer,
-        lambda s: s.hypotheses.signatures.rows[TORQUE_ECHO_ROW].answer,
-        lambda s: s.echoes.actuators[0].known,
-        lambda s: s.other_cars.model.channel_1,
+        lambda s: s.supervision.sequential_test.channel_1,
+        lambda s: s.supervision.sequential_test.earlier,
+        lambda s: s.supervision.loss_model.channel_1,
+        lambda s: s.supervision.loss_model.earlier,
+        lambda s: s.supervision.hypotheses.signatures.rows[OFFSET_ROW].answer,
+        lambda s: s.supervision.hypotheses.signatures.rows[TORQUE_ECHO_ROW].answer,
+        lambda s: s.supervision.echoes.actuators[0].known,
+        lambda s: s.supervision.other_cars.model.channel_1,
     ),
     (
         lambda s: s.estimator.channel_2,
         lambda s: s.shortfall_2,
-        lambda s: s.hypotheses.signatures.rows[FORCE_ROW].answer,
-        lambda s: s.hypotheses.signatures.rows[FORCE_ECHO_ROW].answer,
-        lambda s: s.echoes.actuators[1].known,
-        lambda s: s.other_cars.model.channel_2,
+        lambda s: s.supervision.hypotheses.signatures.rows[FORCE_ROW].answer,
+        lambda s: s.supervision.hypotheses.signatures.rows[FORCE_ECHO_ROW].answer,
+        lambda s: s.supervision.echoes.actuators[1].known,
+        lambda s: s.supervision.other_cars.model.channel_2,
     ),
 )
 
@@ -96,13 +96,15 @@ def test_as_many_other_cars_turn_as_the_table_knows_each_by_its_own_two_matrices
     for car, channel in places:
         turns = rng.standard_normal((len(SPEEDS) - 1, 8, 8))
         at.schedule.cars[car][f"turn_{channel}"][: len(turns)] = turns.reshape(-1, 64)
-        accumulators = at.state.other_cars.cars[car][f"channel_{channel}"].accumulators
+        accumulators = at.state.supervision.other_cars.cars[car][f"channel_{channel}"].accumulators
         accumulators[:4] = rng.standard_normal((4, 2))
         begin[car, channel] = accumulators[:4].ravel().copy(), turns[1]
-    turn_models(at.schedule, at.own, at.table, at.state, 1, 0.25)
+    turn_models(at.schedule, at.own, at.table, at.state, at.state.supervision, 1, 0.25)
     for (car, channel), (s, turn) in begin.items():
         turned = s + 0.25 * turn @ s + 0.5 * 0.25**2 * turn @ turn @ s
-        ours = at.state.other_cars.cars[car][f"channel_{channel}"].accumulators[:4].ravel()
+        ours = (
+            at.state.supervision.other_cars.cars[car][f"channel_{channel}"].accumulators[:4].ravel()
+        )
         np.testing.assert_allclose(ours, turned if car < n else s, rtol=1e-12)
 
 

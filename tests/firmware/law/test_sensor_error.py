@@ -35,10 +35,11 @@ def through_lags(values: FloatArray) -> FloatArray:
 
 
 def filtered(table: Any, state: Any, residual: FloatArray, x: FloatArray) -> list[float]:
+    own = state.supervision
     rows, n = [], int(table.mismatch.n)
     for value, row in zip(residual.tolist(), x, strict=True):
-        state.mismatch.regressor[:n] = row
-        rows.append(float(innovation(table.mismatch, state.mismatch, value, 0.0, 0.0, 0.0)))
+        own.mismatch.regressor[:n] = row
+        rows.append(float(innovation(table.mismatch, own.mismatch, value, 0.0, 0.0, 0.0)))
     return rows
 
 
@@ -59,26 +60,34 @@ def test_what_follows_is_what_would_have_been_without_the_error(name, lags):
     fresh = controller.init(table)[0]
     without = filtered(table, fresh, healthy, x)
     state, rows = controller.init(table)[0], []
-    own = state.hypotheses.signatures
+    own = state.supervision.hypotheses.signatures
     own.rows[DRIFT_ROW].ramp, n = -1.0, int(table.mismatch.n)  # onset: the first tick
     for k in range(TICKS):
-        known = sensor_error_shown(table, state.hypotheses.sensor_error)
-        state.mismatch.regressor[:n] = x[k]
-        new = innovation(table.mismatch, state.mismatch, healthy[k] - shown[k], known, 0.0, 0.0)
+        known = sensor_error_shown(table, state.supervision.hypotheses.sensor_error)
+        state.supervision.mismatch.regressor[:n] = x[k]
+        new = innovation(
+            table.mismatch, state.supervision.mismatch, healthy[k] - shown[k], known, 0.0, 0.0
+        )
         rows.append(new)
         weigh(table, state, new)
         if k == FOUND - 1:
             own.rows[ROW[name]].candidate["size_now"] = size
             ramp = own.rows[DRIFT_ROW].ramp if name == "sensor_drifting" else -1.0
             assert not learn_sensor_error(
-                table, state.hypotheses.sensor_error, state.mismatch, own.rows[ROW[name]], ramp
+                table,
+                state.supervision.hypotheses.sensor_error,
+                state.supervision.mismatch,
+                own.rows[ROW[name]],
+                ramp,
             )
             begin_all(own)
         tick_on(table, state)
-        advance_sensor_error(table, state.hypotheses.sensor_error)
-    assert state.hypotheses.sensor_error.offset == pytest.approx(error[-1])
+        advance_sensor_error(table, state.supervision.hypotheses.sensor_error)
+    assert state.supervision.hypotheses.sensor_error.offset == pytest.approx(error[-1])
     np.testing.assert_allclose(rows[FOUND:], without[FOUND:], rtol=1e-6, atol=1e-11)
-    np.testing.assert_allclose(state.mismatch.theta, fresh.mismatch.theta, rtol=1e-6, atol=1e-11)
+    np.testing.assert_allclose(
+        state.supervision.mismatch.theta, fresh.supervision.mismatch.theta, rtol=1e-6, atol=1e-11
+    )
     assert np.abs(np.array(rows[:FOUND]) - without[:FOUND]).max() > 0.1
 
 
@@ -97,7 +106,7 @@ def test_what_follows_is_what_would_have_been_without_the_error(name, lags):
 )
 def test_an_error_is_gone_where_less_than_half_is_left(sizes, gone):
     table = with_one_onset()
-    state = controller.init(table)[0]
+    state = controller.init(table)[0].supervision
     biased = state.hypotheses.signatures.rows[BIAS_ROW]
     for size in sizes:
         biased.candidate["size_now"] = size
@@ -121,19 +130,21 @@ def test_an_error_that_ends_leaves_nothing(lags):
     shown = through_lags(error) if lags else error
     without = filtered(table, controller.init(table)[0], healthy, x)
     state, rows = controller.init(table)[0], []
-    own, known = state.hypotheses.signatures, state.hypotheses.sensor_error
+    own, known = state.supervision.hypotheses.signatures, state.supervision.hypotheses.sensor_error
     biased, n = own.rows[BIAS_ROW], int(table.mismatch.n)
     own.rows[DRIFT_ROW].ramp = -1.0
     for k in range(TICKS):
         told = sensor_error_shown(table, known)
-        state.mismatch.regressor[:n] = x[k]
+        state.supervision.mismatch.regressor[:n] = x[k]
         rows.append(
-            innovation(table.mismatch, state.mismatch, healthy[k] - shown[k], told, 0.0, 0.0)
+            innovation(
+                table.mismatch, state.supervision.mismatch, healthy[k] - shown[k], told, 0.0, 0.0
+            )
         )
         weigh(table, state, rows[-1])
         if k in (FOUND - 1, ends):
             biased.candidate["size_now"] = size if k < ends else -size
-            over = learn_sensor_error(table, known, state.mismatch, biased, -1.0)
+            over = learn_sensor_error(table, known, state.supervision.mismatch, biased, -1.0)
             assert over == (k == ends)
             begin_all(own)
         tick_on(table, state)

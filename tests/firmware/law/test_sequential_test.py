@@ -53,16 +53,17 @@ def drive(tables: Records[Table], measured: FloatArray, starts: tuple[int, ...] 
     """The law on a reference that swings, D* as given; a candidate begins at ``starts``."""
     states = controller.init(tables[0])
     state, rows = states[0], []
+    own = state.supervision
     for k, y in enumerate(measured.tolist()):
         if k in starts:
-            restart_test(tables[0], state)
+            restart_test(tables[0], state, state.supervision)
         controller.step(tables[0], state, math.sin(0.05 * k), y)
-        known = state.mismatch
+        known = own.mismatch
         rows.append((
-            state.command_1, state.fault_estimate, state.sequential_test.candidate.predicted,
+            state.command_1, state.fault_estimate, own.sequential_test.candidate.predicted,
             known.regressor.copy(), known.memory.copy(),
             known.extent, known.change, known.remainder,
-            lost_share(tables[0].sequential_test, state.sequential_test.candidate),
+            lost_share(tables[0].sequential_test, own.sequential_test.candidate)
         ))  # fmt: skip
     return Run(*(np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)))
 
@@ -178,12 +179,14 @@ def test_the_share_is_the_part_of_the_torque_that_is_lost(left):
     state, x, y, shares = states[0], PLANT.rest.copy(), 0.0, 0.0
     for k in range(ticks):
         if k == lost:
-            restart_test(tables[0], state)
+            restart_test(tables[0], state, state.supervision)
         controller.step(tables[0], state, math.sin(0.02 * k), y + noise[k])
         working = left if k >= lost else 1.0
         u1, u2 = working * float(state.command_1), float(state.command_2)
         y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, u1, u2)
-        shares = float(lost_share(tables[0].sequential_test, state.sequential_test.candidate))
+        shares = float(
+            lost_share(tables[0].sequential_test, state.supervision.sequential_test.candidate)
+        )
     assert shares == pytest.approx(1.0 - left, abs=0.02)
 
 
@@ -192,9 +195,9 @@ def test_a_candidate_is_as_old_as_the_ticks_that_it_has_seen():
     state, ages = controller.init(tables[0])[0], []
     for k in range(8):
         if k == 5:
-            restart_test(tables[0], state)
+            restart_test(tables[0], state, state.supervision)
         controller.step(tables[0], state, 0.1 * k, 0.0)
-        ages.append(int(state.sequential_test.candidate.age))
+        ages.append(int(state.supervision.sequential_test.candidate.age))
     assert ages == [1, 2, 3, 4, 5, 1, 2, 3]
 
 
@@ -207,8 +210,10 @@ def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency):
     state, commands, answers = controller.init(tables[0])[0], [], []
     for k in range(ticks):
         if k == start:
-            restart_test(tables[0], state)
-        answers.append(output(table.estimator.channel_1, state.sequential_test.earlier, 0.0))
+            restart_test(tables[0], state, state.supervision)
+        answers.append(
+            output(table.estimator.channel_1, state.supervision.sequential_test.earlier, 0.0)
+        )
         controller.step(tables[0], state, math.sin(0.05 * k), 0.0)
         commands.append(float(state.command_1))
     pulse = np.zeros(ticks)
@@ -221,9 +226,9 @@ def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency):
 def test_evidence_that_overflowed_begins_again():
     tables: NDArray[Any] = changed(build(DESIGN, target()), decision=NEVER)
     state = controller.init(tables[0])[0]
-    state.sequential_test.candidate.predicted = math.nan
+    state.supervision.sequential_test.candidate.predicted = math.nan
     controller.step(tables[0], state, 1.0, 0.0)
-    assert state.sequential_test.candidate.predicted == 0.0
+    assert state.supervision.sequential_test.candidate.predicted == 0.0
 
 
 @pytest.mark.every_case
@@ -245,7 +250,7 @@ def test_a_candidate_twice_as_old_that_has_learnt_little_is_stale(
 ):
     numbers = {"freshness": 0.1, "needed": 24.0}
     table = changed(build(DESIGN, Target(TICK_S, 1, "zoh")), sequential_test=numbers)[0]
-    test = controller.init(table)[0].sequential_test
+    test = controller.init(table)[0].supervision.sequential_test
     test.candidate.age, test.half_age = age, half_age
     test.candidate.information, test.half_information = information, half_information
     test.candidate.predicted, test.half_predicted = 30.0 + gained, 30.0

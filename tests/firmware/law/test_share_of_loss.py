@@ -44,20 +44,21 @@ def learner() -> tuple[Any, Any]:
 
 def learn(table: Any, state: Any, residuals: FloatArray, share: float) -> None:
     """From d̂ less what is known to be lost; the candidate begins at START."""
+    own = state.supervision
     for k, residual in enumerate(residuals.tolist()):
         if k == START:
-            restart_test(table, state)
+            restart_test(table, state, state.supervision)
         state.command_1 = COMMANDS[k]
         show_other_cars(
-            table, state.other_cars, state.estimator.measured, state.command_1, state.command_2
+            table, own.other_cars, state.estimator.measured, state.command_1, state.command_2
         )
-        predict_mismatch(table, state.mismatch, state.other_cars.shown, MODELLED[k], 0.0, 0.0)
-        new = innovation(table.mismatch, state.mismatch, residual, 0.0, 0.0, 0.0)
-        test, known = state.sequential_test, state.mismatch
+        predict_mismatch(table, own.mismatch, own.other_cars.shown, MODELLED[k], 0.0, 0.0)
+        new = innovation(table.mismatch, own.mismatch, residual, 0.0, 0.0, 0.0)
+        test, known = own.sequential_test, own.mismatch
         shown = candidate_shown(table, test, state.estimator, state.command_1)
         assert not update_test(table, test, known, shown, new, share)
-        advance_candidate(table, state.sequential_test, state.estimator, state.command_1)
-        advance_other_cars(table, state.other_cars, state.estimator.measured, state.command_2)
+        advance_candidate(table, own.sequential_test, state.estimator, state.command_1)
+        advance_other_cars(table, own.other_cars, state.estimator.measured, state.command_2)
 
 
 @pytest.mark.compiled
@@ -70,11 +71,13 @@ def test_what_is_forgotten_leaves_what_a_filter_without_the_loss_knows(share, se
     table.mismatch.beyond = 0.0  # of second order is what each filter makes of its own cars
     learn(table, ours, healthy + share * W, 0.8)
     learn(table, without, healthy, 0.8)
-    taught = ours.mismatch.theta - without.mismatch.theta
+    taught = ours.supervision.mismatch.theta - without.supervision.mismatch.theta
     if abs(share) > 0.1:
         assert np.abs(taught).max() > 0.1 * abs(share)
-    forget_candidate(table, ours.sequential_test, ours.mismatch, share)
-    np.testing.assert_allclose(ours.mismatch.theta, without.mismatch.theta, atol=1e-9)
+    forget_candidate(table, ours.supervision.sequential_test, ours.supervision.mismatch, share)
+    np.testing.assert_allclose(
+        ours.supervision.mismatch.theta, without.supervision.mismatch.theta, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("share", [0.4, 1.0])
@@ -82,19 +85,19 @@ def test_a_car_that_is_the_model_is_that_again_once_its_loss_is_confirmed(share)
     """With the share that least squares finds; and once more when the channel comes back."""
     table, state = learner()
     learn(table, state, share * W, 0.8)
-    assert np.abs(state.mismatch.theta).max() > 0.1
-    confirm_or_believe(table, state)
+    assert np.abs(state.supervision.mismatch.theta).max() > 0.1
+    confirm_or_believe(table, state, state.supervision)
     assert state.fault_state == FaultState.CONFIRMED
-    assert state.loss_model.share == pytest.approx(share, rel=1e-6)
-    np.testing.assert_allclose(state.mismatch.theta, 0.0, atol=1e-6)
+    assert state.supervision.loss_model.share == pytest.approx(share, rel=1e-6)
+    np.testing.assert_allclose(state.supervision.mismatch.theta, 0.0, atol=1e-6)
 
     table, state = learner()
-    state.loss_model.share = share
+    state.supervision.loss_model.share = share
     state.fault_state = FaultState.CONFIRMED
     learn(table, state, -share * W, -share)
-    recover(table, state)
+    recover(table, state, state.supervision)
     assert state.fault_state == FaultState.CLEAR
-    np.testing.assert_allclose(state.mismatch.theta, 0.0, atol=1e-6)
+    np.testing.assert_allclose(state.supervision.mismatch.theta, 0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("happens", [confirm_or_believe, recover])
@@ -113,11 +116,11 @@ def test_the_doubt_about_a_loss_is_what_the_evidence_leaves_of_it(
     table, _ = learner()
     tables = changed(table, decision={"suspect": suspect})
     state = controller.init(tables[0])[0]
-    weighed = state.sequential_test.candidate
+    weighed = state.supervision.sequential_test.candidate
     weighed.information, weighed.age = information, 30.0
-    happens(tables[0], state)
-    assert state.mismatch.covariance.variances[1] == pytest.approx(15.0**2)
-    assert state.mismatch.covariance.variances[0] == pytest.approx(variance)
+    happens(tables[0], state, state.supervision)
+    assert state.supervision.mismatch.covariance.variances[1] == pytest.approx(15.0**2)
+    assert state.supervision.mismatch.covariance.variances[0] == pytest.approx(variance)
 
 
 @pytest.mark.compiled
@@ -129,6 +132,7 @@ def test_a_share_that_is_off_at_its_confirmation_is_right_a_second_later(latency
     of = Target(TICK_S, latency, "zoh", noise_rms=rms, on_confirmation=True)
     tables = changed(build(DESIGN, of))
     state, x, y = controller.init(tables[0])[0], PLANT.rest.copy(), 0.0
+    own = state.supervision
     noise = rms * np.random.default_rng(6).standard_normal(4000)
     late: list[Any] = [(0.0, 0.0)] * latency
     confirmed, shares = 0, []
@@ -136,12 +140,12 @@ def test_a_share_that_is_off_at_its_confirmation_is_right_a_second_later(latency
         controller.step(tables[0], state, 1.0, y + noise[k])
         if not confirmed and state.fault_state == FaultState.CONFIRMED:
             confirmed = k
-            state.loss_model.share = 0.5 + off
+            own.loss_model.share = 0.5 + off
         late.append((float(state.command_1), float(state.command_2)))
         u1, u2 = late.pop(0)
         y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, (0.5 if k >= lost else 1.0) * u1, u2)
         shares.append(
-            (float(known_share(state.loss_model, state.mismatch)), float(state.loss_model.followed))
+            (float(known_share(own.loss_model, own.mismatch)), float(own.loss_model.followed))
         )
         if confirmed and k == confirmed + 1000:
             break

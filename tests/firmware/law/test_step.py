@@ -44,7 +44,7 @@ def run(
             for i in (1, 2)
         ]  # fmt: skip
         controller.step(table, state, reference, y)
-        known = state.mismatch
+        known = state.supervision.mismatch
         judged = known.previous_residual, known.previous_model_output
         missing = missing_output(
             table.estimator, state.tracking, state.estimator, state.shortfall_2
@@ -86,7 +86,7 @@ def test_what_channel_2_cannot_do_is_missing_in_the_measurement(latency, on_conf
     limit = 300.0 if on_confirmation else 2000.0
     target = Target(TICK_S, latency, "zoh", limit_2=limit, on_confirmation=on_confirmation)
     table, state, filters = of(target, loss_model={"follow": 0.0})
-    state.loss_model.share = state.loss_model.followed = 1.0
+    state.supervision.loss_model.share = state.supervision.loss_model.followed = 1.0
     state.fault_state = FaultState.CONFIRMED
     told = run(table, state)
     lost = through(filters.estimator_1, told["command_1"])
@@ -136,7 +136,7 @@ def test_after_a_loss_f_hat_makes_up_for_w_whatever_is_measured(latency):
     """Also of the commands in ticks without a measurement."""
     target = Target(TICK_S, latency, "zoh", on_confirmation=True)
     table, state, filters = of(target, loss_model={"follow": 0.0})
-    state.loss_model.share = state.loss_model.followed = 1.0
+    state.supervision.loss_model.share = state.supervision.loss_model.followed = 1.0
     state.fault_state = FaultState.CONFIRMED
     measured = MEASURED.copy()
     measured[HELD] = math.nan
@@ -157,15 +157,16 @@ def test_after_a_loss_f_hat_makes_up_for_w_whatever_is_measured(latency):
 def test_a_tick_without_a_measurement_tells_the_other_cars_and_the_candidate_what_goes_on():
     """The acting command drives w."""
     table, state, _ = of(Target(TICK_S, 2, "zoh", on_confirmation=True))
+    own = state.supervision
     for _ in range(3):
         controller.step(table, state, 1.0, 0.0)
     queues = [state.estimator.queue_1, state.estimator.queue_2]
     acting = [float(queue.commands[queue.index]) for queue in queues]
-    w = float(state.sequential_test.previous_output)
+    w = float(own.sequential_test.previous_output)
     controller.step(table, state, math.inf, 0.0)
-    assert [float(state.other_cars.command_1), float(state.other_cars.command_2)] == acting
+    assert [float(own.other_cars.command_1), float(own.other_cars.command_2)] == acting
     assert acting[0] != 0.0
-    assert state.sequential_test.previous_output != w
+    assert own.sequential_test.previous_output != w
     assert (state.reference, state.measurement) == (1.0, 0.0)
 
 
@@ -224,7 +225,7 @@ def test_nor_does_channel_2_follow_what_is_no_number():
 def test_a_stop_owes_what_c_and_f_hat_would_have_asked_for(on_confirmation):
     target = Target(TICK_S, 1, "zoh", on_confirmation=on_confirmation, blind_s=0.0)
     table, state, _ = of(target, loss_model={"follow": 0.0})
-    state.loss_model.share = state.loss_model.followed = 1.0
+    state.supervision.loss_model.share = state.supervision.loss_model.followed = 1.0
     state.fault_state = FaultState.CONFIRMED
     for _ in range(6):
         controller.step(table, state, 1.0, 0.0)
@@ -233,12 +234,9 @@ def test_a_stop_owes_what_c_and_f_hat_would_have_asked_for(on_confirmation):
     short_1 = track_on(table.tracking, was.tracking, was.command_1) - was.command_1
     short_2 = 0.0
     if on_confirmation:
-        drive = transfer(
-            was.bumpless_transfer,
-            compensated_output(
-                table, was.loss_model, was.echoes, lost_command(was.fault_state, was.command_1)
-            ),
-        )
+        own, lost = was.supervision, lost_command(was.fault_state, was.command_1)
+        missing = compensated_output(table, own.loss_model, own.echoes, lost)
+        drive = transfer(own.bumpless_transfer, missing)
         short_2 = advance(table.compensator.filter, was.compensator.filter, drive) - was.command_2
         assert short_2 != 0.0
     advance(table.estimator.channel_1, was.shortfall_1, short_1)
@@ -256,7 +254,7 @@ def test_the_model_among_other_cars_moves_as_f1_does(latency):
     measured[HELD] = math.nan
     run(table, state, measured)
     for name in ("channel_1", "channel_2"):
-        ours, theirs = state.other_cars.model[name], state.estimator[name]
+        ours, theirs = state.supervision.other_cars.model[name], state.estimator[name]
         np.testing.assert_allclose(ours.accumulators, theirs.accumulators, rtol=1e-12)
         assert ours.accumulators.any()
 

@@ -123,11 +123,13 @@ def test_a_motor_that_died_before_is_found():
 def test_in_a_takeover_a_loss_needs_the_evidence_that_chance_gives_once_in_a_hundred():
     """One candidate a tick, each beyond h by chance with e^-h (Wald)."""
     table = table_of()
-    limits, test = table.decision, controller.init(table)[0].sequential_test
+    limits, test = table.decision, controller.init(table)[0].supervision.sequential_test
     ticks, needed = float(table.takeover.lasting), []
     for of_takeover in (0, 1):
         test.of_takeover = of_takeover
-        needed.append(needed_evidence(table, test, controller.init(table)[0].echoes.actuators[0]))
+        needed.append(
+            needed_evidence(table, test, controller.init(table)[0].supervision.echoes.actuators[0])
+        )
     assert needed[0] == limits.confirm
     assert ticks * math.exp(-needed[1]) == pytest.approx(1e-2, rel=1e-9)
     lax = table_of(false_alarms_per_hour=1e3)
@@ -232,7 +234,7 @@ def test_the_doubt_is_the_variance_that_noise_leaves():
 
 def test_a_takeover_ends_once_its_motion_has_faded():
     table = table_of()
-    state, g1 = controller.init(table)[0].takeover, table.estimator.channel_1
+    state, g1 = controller.init(table)[0].supervision.takeover, table.estimator.channel_1
     begin_takeover(g1, state, 0.0, 1.0)
     shown = []
     while state.active:

@@ -26,27 +26,29 @@ LOST, OFFSET, FORCE, BIASED, DRIFTING, FROZEN, CAR_IS_ANOTHER = range(1, 8)
 
 def state_of(verdict: Verdict = Verdict.NOTHING, *, lost: bool = False) -> Any:
     state = controller.init(TABLES[0])[0]
-    state.hypotheses.verdict = verdict
+    state.supervision.hypotheses.verdict = verdict
     state.fault_state = FaultState.CONFIRMED if lost else FaultState.CLEAR
     return state
 
 
 def judged(state: Any, **evidence: float) -> Verdict:
+    own = state.supervision
     places = {"lost": LOST, "offset": OFFSET, "force": FORCE, "biased": BIASED,
               "drifting": DRIFTING, "frozen": FROZEN, "car": CAR_IS_ANOTHER}  # fmt: skip
-    state.hypotheses.evidence[:] = 0.0
-    state.hypotheses.signatures.jump = 5.0  # enough for a bias
+    own.hypotheses.evidence[:] = 0.0
+    own.hypotheses.signatures.jump = 5.0  # enough for a bias
     for name, value in evidence.items():
-        state.hypotheses.evidence[places[name]] = value
+        own.hypotheses.evidence[places[name]] = value
     judge_in(state)
-    return Verdict(state.hypotheses.verdict)
+    return Verdict(own.hypotheses.verdict)
 
 
 def judge_in(state: Any) -> None:
     """Judge the evidence of ``state`` without any witness."""
-    lost, test = state.fault_state == FaultState.CONFIRMED, state.sequential_test
+    own = state.supervision
+    lost, test = state.fault_state == FaultState.CONFIRMED, own.sequential_test
     judge(
-        TABLES[0], state.hypotheses, state.mismatch, state.echoes, state.witness,
+        TABLES[0], own.hypotheses, own.mismatch, own.echoes, own.witness,
         False, lost, test.candidate.predicted,
     )  # fmt: skip
 
@@ -78,13 +80,13 @@ def test_what_channel_2_explained_before_a_loss_of_channel_1_is_no_evidence_agai
 ):
     """With 13 for a lost channel 1 it takes more than twice as much since its onset."""
     state = state_of()
-    state.hypotheses.signatures.before = before
+    state.supervision.hypotheses.signatures.before = before
     assert judged(state, force=30.0, lost=13.0).name == verdict
 
 
 def test_of_the_other_faults_all_evidence_counts():
     state = state_of()
-    state.hypotheses.signatures.before = 30.0
+    state.supervision.hypotheses.signatures.before = 30.0
     assert judged(state, offset=30.0, force=13.0) == Verdict.TORQUE_OFFSET
 
 
@@ -106,7 +108,7 @@ def test_what_has_been_found_stands_where_it_cannot_be_told_what_there_is_now():
 
 def test_a_number_that_is_repeated_keeps_no_other_verdict():
     state = state_of(Verdict.CANNOT_BE_TOLD)
-    state.hypotheses.frozen.repetitions = 1.0
+    state.supervision.hypotheses.frozen.repetitions = 1.0
     assert judged(state) == Verdict.NOTHING
 
 
@@ -114,31 +116,31 @@ def test_a_fault_is_found_in_one_tick_and_stands_in_the_next():
     state = state_of()
     for evidence, found in (({"offset": 30.0}, OFFSET), ({}, Verdict.NOTHING)):
         assert judged(state, **evidence) == Verdict.TORQUE_OFFSET
-        assert state.hypotheses.found == found
+        assert state.supervision.hypotheses.found == found
 
 
 def test_what_comes_after_the_end_of_a_fault_is_another_whatever_its_sign():
     """Of an offset that has ended no size is kept, which the next could be the end of."""
     state, verdicts = state_of(), []
     for size in (20.0, -20.0, 20.0):
-        state.hypotheses.signatures.rows[OFFSET_ROW].candidate.size_now = size
+        state.supervision.hypotheses.signatures.rows[OFFSET_ROW].candidate.size_now = size
         verdicts.append(judged(state, offset=30.0))
     assert verdicts == [Verdict.TORQUE_OFFSET, Verdict.NOTHING, Verdict.TORQUE_OFFSET]
 
 
 def test_a_sensor_is_frozen_as_long_as_it_repeats_itself():
     state = state_of(Verdict.SENSOR_FROZEN)
-    state.hypotheses.frozen.repetitions = 1.0
+    state.supervision.hypotheses.frozen.repetitions = 1.0
     assert judged(state) == Verdict.SENSOR_FROZEN
-    state.hypotheses.frozen.repetitions = 0.0
+    state.supervision.hypotheses.frozen.repetitions = 0.0
     assert judged(state) == Verdict.NOTHING
 
 
 def test_the_jump_to_a_repeated_number_is_no_error_of_the_sensor_after_that():
     state = state_of(Verdict.SENSOR_WRONG)
-    state.hypotheses.sensor_error.offset = 0.3
+    state.supervision.hypotheses.sensor_error.offset = 0.3
     assert judged(state, frozen=50.0) == Verdict.SENSOR_FROZEN
-    assert state.hypotheses.sensor_error.offset == 0.0
+    assert state.supervision.hypotheses.sensor_error.offset == 0.0
 
 
 def test_another_car_stands_until_its_evidence_is_no_suspicion():
@@ -162,20 +164,21 @@ def test_the_opposite_at_the_same_place_is_the_end_of_a_fault(first, then, gone)
     named = Verdict[then[0].replace("biased", "wrong").upper()]
     state = state_of()
     for name, size in (first, then):
-        candidate = state.hypotheses.signatures.rows[ROW[name]].candidate
-        state.hypotheses.signatures.rows[DRIFT_ROW].ramp = -1.0
+        candidate = state.supervision.hypotheses.signatures.rows[ROW[name]].candidate
+        state.supervision.hypotheses.signatures.rows[DRIFT_ROW].ramp = -1.0
         candidate["size_now"] = size
         verdict = judged(state, **{short[name]: 30.0})
         assert not candidate["size_now"]  # its onset is yet to come
     assert verdict == (Verdict.NOTHING if gone else named)
     if gone:  # and the next one is another
-        state.hypotheses.signatures.rows[ROW[then[0]]].candidate["size_now"] = then[1]
+        state.supervision.hypotheses.signatures.rows[ROW[then[0]]].candidate["size_now"] = then[1]
         assert judged(state, **{short[then[0]]: 30.0}) == named
 
 
 def silent(state: Any, missing: float = 0.51) -> Any:
     """So much of what channel 2 was told is missing in y."""
-    state.hypotheses.signatures.commanded, state.hypotheses.signatures.missing = 1.0, missing
+    own = state.supervision
+    (own.hypotheses.signatures.commanded, own.hypotheses.signatures.missing) = 1.0, missing
     return state
 
 
@@ -188,17 +191,17 @@ def test_both_are_lost_only_where_y_follows_less_than_half_of_channel_2():
 @pytest.mark.parametrize(("jump", "verdict"), [(5.0, "SENSOR_WRONG"), (4.9, "CANNOT_BE_TOLD")])
 def test_a_bias_begins_with_a_jump(jump, verdict):
     state = state_of()
-    state.hypotheses.signatures.jump = jump
-    state.hypotheses.evidence[BIASED] = 90.0
+    state.supervision.hypotheses.signatures.jump = jump
+    state.supervision.hypotheses.evidence[BIASED] = 90.0
     judge_in(state)
-    assert Verdict(state.hypotheses.verdict).name == verdict
+    assert Verdict(state.supervision.hypotheses.verdict).name == verdict
 
 
 def test_of_another_fault_no_jump_is_asked():
     state = state_of()
-    state.hypotheses.evidence[OFFSET] = 90.0
+    state.supervision.hypotheses.evidence[OFFSET] = 90.0
     judge_in(state)
-    assert state.hypotheses.verdict == Verdict.TORQUE_OFFSET
+    assert state.supervision.hypotheses.verdict == Verdict.TORQUE_OFFSET
 
 
 @pytest.mark.parametrize(
@@ -222,9 +225,9 @@ def test_of_a_confirmed_loss_it_is_asked_whether_the_other_channel_is_lost_too(
 
 def test_the_end_of_a_confirmed_loss_competes_with_the_loss_of_the_other_channel():
     state = silent(state_of(lost=True))
-    state.sequential_test.candidate.predicted = 41.0
+    state.supervision.sequential_test.candidate.predicted = 41.0
     assert judged(state, lost=30.0, force=140.0) == Verdict.TORQUE_LOST
-    state.sequential_test.candidate.predicted = 39.0
+    state.supervision.sequential_test.candidate.predicted = 39.0
     assert judged(state, lost=30.0, force=140.0) == Verdict.BOTH_LOST
 
 
@@ -232,20 +235,21 @@ def with_learnt_car(tables: Records[Table], lost: bool) -> Any:
     """A state whose filter has a covariance that is not diagonal."""
     state = controller.init(tables[0])[0]
     draw, n = np.random.default_rng(4), int(tables[0].mismatch.n)
-    known = state.mismatch
+    known = state.supervision.mismatch
     known.covariance.lower[:n, :n] = np.tril(draw.standard_normal((n, n)), -1)
     known.covariance.variances[:n] = draw.uniform(0.01, 0.1, n)
     known.covariance.first = 0
     known.theta[:n] = draw.standard_normal(n)
-    state.loss_model.share = 0.6 - known.theta[0]
+    state.supervision.loss_model.share = 0.6 - known.theta[0]
     state.fault_state = FaultState.CONFIRMED if lost else FaultState.CLEAR
     return state
 
 
 def test_of_a_confirmed_loss_the_evidence_is_how_far_its_share_is_from_none():
     state = with_learnt_car(TABLES, lost=True)
-    variance = covariance_of(state.mismatch)[0, 0]
-    found = torque_evidence(state.mismatch, state.sequential_test.candidate, True, 0.6)
+    own = state.supervision
+    variance = covariance_of(own.mismatch)[0, 0]
+    found = torque_evidence(own.mismatch, own.sequential_test.candidate, True, 0.6)
     assert found == pytest.approx(0.5 * 0.6**2 / variance)
 
 
@@ -256,7 +260,7 @@ def test_of_a_confirmed_loss_the_evidence_is_how_far_its_share_is_from_none():
 def test_before_that_it_is_that_of_the_share_which_explains_most(new, shown, evidence):
     """ν²/2S, or with the largest share that a car may have, 1.5."""
     table = build(DESIGN, Target(TICK_S, 1, "zoh"))
-    state = controller.init(table)[0]
+    state = controller.init(table)[0].supervision
     state.mismatch.variance = 1.0 / 16.0
     update_test(table, state.sequential_test, state.mismatch, shown, new, 0.8)
     found = torque_evidence(state.mismatch, state.sequential_test.candidate, False, 0.6)
@@ -266,8 +270,9 @@ def test_before_that_it_is_that_of_the_share_which_explains_most(new, shown, evi
 @pytest.mark.parametrize("clearly", [1.0, 0.01])
 def test_another_car_is_told_by_the_direction_in_which_it_differs_most_clearly(clearly):
     state = with_learnt_car(TABLES, lost=False)
-    state.mismatch.theta[:] *= clearly
+    own = state.supervision
+    own.mismatch.theta[:] *= clearly
     cars = slice(2, 2 + int(TABLES[0].other_cars.n))
-    variances = np.diag(covariance_of(state.mismatch))[cars]
-    expected = max(0.5 * np.asarray(state.mismatch.theta)[cars] ** 2 / variances)
-    assert other_car_evidence(TABLES[0], state.mismatch) == pytest.approx(expected)
+    variances = np.diag(covariance_of(own.mismatch))[cars]
+    expected = max(0.5 * np.asarray(own.mismatch.theta)[cars] ** 2 / variances)
+    assert other_car_evidence(TABLES[0], own.mismatch) == pytest.approx(expected)

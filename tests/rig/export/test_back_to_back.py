@@ -249,6 +249,6 @@ def test_c_saves_the_bytes_of_python_and_refuses_every_flipped_bit(precision):
         assert not code.firmware_restore(address(fresh), bytes(damaged)), bit
     assert fresh.tobytes() == before
     assert code.firmware_restore(address(fresh), whole)
-    assert fresh["saved"].tobytes() == whole
+    assert fresh["supervision"]["saved"].tobytes() == whole
     code.firmware_save(address(fresh), saved)
     assert saved.raw == whole
