@@ -1,5 +1,6 @@
 """``can-rig compare``: several controllers through the same faults, weather and cars."""
 
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -73,7 +74,10 @@ def command(
     failed = any(row.failure for row in found.rows)
     if as_json:
         for row in found.rows:
-            json_line(**vars(row))
+            json_line(**{
+                name: None if isinstance(value, float) and math.isnan(value) else value
+                for name, value in vars(row).items()
+            })  # fmt: skip
         sys.exit(failed)
     figures = table("case", "controller", "peak", "rms", "settled", "confirmed", "|u1|", "|u2|",
                     left=2)  # fmt: skip

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,7 +24,8 @@ from can_rig.results.metrics import decision_metrics
 from can_rig.results.signals import Signals
 from can_rig.scenario.controller_settings import PEERS
 from can_rig.scenario.from_python import settings_of
-from can_rig.scenario.loading import Changes, written
+from can_rig.scenario.loading import Changes, value_in, written
+from can_rig.scenario.plant_settings import flat
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import FloatArray
 
@@ -31,17 +33,16 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SETTLED_S: Final = 2.0
-NO_FAULT: Final = {"fault.kind": "none"}
+NO_FAULT: Final = {"fault": [{"kind": "none"}]}
+"""A list replaces the faults of the scenario; keys of one fault would keep its other keys."""
 
 
 def _fault(kind: str, channel: str = "torque", **numbers: float) -> dict[str, Any]:
-    fault = {"fault.kind": kind, "fault.channel": channel, "fault.at_s": 10.0}
-    return fault | {f"fault.{key}": value for key, value in numbers.items()}
+    return {"fault": [{"kind": kind, "channel": channel, "at_s": 10.0, **numbers}]}
 
 
 def _weather(kind: str, **numbers: float) -> dict[str, Any]:
-    pushed = {"disturbance.kind": kind, "disturbance.at_s": 10.0}
-    return NO_FAULT | pushed | {f"disturbance.{key}": value for key, value in numbers.items()}
+    return NO_FAULT | {"disturbance": [{"kind": kind, "at_s": 10.0, **numbers}]}
 
 
 CASES: Final[Mapping[str, Mapping[str, Changes]]] = {
@@ -203,17 +204,20 @@ def compare(
 def _scenario(
     load: Callable[[Sequence[str]], Scenario], controller: str, changes: Changes
 ) -> Scenario:
-    """The scenario of a run; ``KEY*`` of the plant or the model is a factor of its number."""
-    base = load(())
+    """The scenario of a run; ``KEY*`` is a factor of the number that the scenario has."""
+    base = load(()).as_dict()
     own: dict[str, Any] = {}
-    for key, value in changes.items():
-        table, _, field = key.removesuffix("*").partition(".")
-        if not key.endswith("*"):
+    for key, value in flat(changes):
+        name = key.removesuffix("*")
+        number = value_in(base, name)
+        if name == key:
             own[key] = value
-        elif table in ("plant", "model") and hasattr(base.plant, field):
-            own[f"{table}.{field}"] = value * getattr(base.plant, field)
+        elif all(isinstance(each, Real) for each in (value, number)):
+            own[name] = value * number
         else:
-            raise ScenarioError(f"{key} = {value!r}: must be a factor of a key of plant or model")
+            raise ScenarioError(
+                f"{key} = {value!r}: must be a factor of a number; {name} is {number!r}"
+            )
     if controller.endswith(".toml"):
         if not written(controller).values.get("controller"):
             raise ScenarioError(f"{controller}: must have a table [controller]; no other counts")

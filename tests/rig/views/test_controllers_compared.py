@@ -1,5 +1,7 @@
 """Controllers through the same cases: figures worked out again from a run with frames."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.results.execution import Options, execute
 from can_rig.scenario.loading import as_settings
 from can_rig.views.controllers_compared import CASES
-from tests.helpers import asked, refused
+from tests.helpers import asked, refused, succeeded
 
 LOST = {"fault.kind": "actuator-dead", "fault.at_s": 0.8}
 SHORT = {"duration_s": 1.2}
@@ -18,7 +20,7 @@ SHORT = {"duration_s": 1.2}
 
 def test_the_figures_are_those_of_a_run_with_frames(tmp_path):
     found = can_rig.compare(["ours", "pi"], changes=SHORT, cases={"lost": LOST, "none": {
-        "fault.kind": "none", "plant.mass_kg*": 1.1, "model.mass_kg*": 1.0}})  # fmt: skip
+        "fault.kind": "none", "plant.mass_kg*": np.int64(2), "model.mass_kg*": 2.0}})  # fmt: skip
     assert [(row.case, row.controller) for row in found.rows] == [
         (case, controller) for case in ("lost", "none") for controller in ("ours", "pi")
     ]
@@ -81,6 +83,45 @@ def test_every_shipped_case_loads(group):
         assert load("default", as_settings(plain))
 
 
+def test_a_factor_is_of_the_scenarios_number_on_the_command_line_too():
+    words = ["compare", "pi", "--set", "duration_s=0.5", "--set", "model.mass_kg=1200", "--json"]
+    factors = "x:plant.mass_kg*=1.2,model.mass_kg*=1.5,plant.sensor.noise_mps2*=2,seed*=3"
+    numbers = "x:plant.mass_kg=1680,model.mass_kg=1800,plant.sensor.noise_mps2=0.01,seed=3"
+    one, other = (
+        json.loads(succeeded(*words, "--set", "seed=1", "--case", case).stdout)
+        for case in (factors, numbers)
+    )
+    assert one == pytest.approx(other)
+
+
+def test_a_shipped_case_has_its_own_faults_and_weather_alone(tmp_path):
+    scenario = tmp_path / "two.toml"
+    scenario.write_text(
+        "duration_s = 11.0\n"
+        "[[fault]]\nkind = 'actuator-dead'\nleft = 0.9\nat_s = 10.0\nfor_s = 0.5\n"
+        "[[fault]]\nkind = 'sensor-biased'\nbias_mps2 = 0.3\nat_s = 1.0\n"
+        "[[disturbance]]\nkind = 'gust'\nforce_n = 400.0\nat_s = 1.0\n"
+        "[[disturbance]]\nkind = 'bank'\nbank_percent = 4.0\nat_s = 2.0\n"
+    )
+    calm = {"fault": [{"kind": "none"}], "disturbance": [{"kind": "none"}]}
+    lost = {"fault": [{"kind": "actuator-dead", "at_s": 10.0}]}
+    bank = calm | {"disturbance": [{"kind": "bank", "at_s": 10.0, "bank_percent": 4.0}]}
+    for name, own in (("torque lost", lost), ("bank", bank)):
+        (group,) = (group for group, cases in CASES.items() if name in cases)
+        (row,) = can_rig.compare(["pi"], scenario, cases={name: CASES[group][name]}).rows
+        (alone,) = can_rig.compare(["pi"], scenario, cases={name: own}).rows
+        assert row == alone
+        assert row.error_peak_mps2 > 0.05
+
+
+def test_a_run_that_fails_is_null_in_json():
+    done = asked(
+        "compare", "no_such_module:C", "--set", "duration_s=0.2", "--case", "a:seed=1", "--json"
+    )
+    figures = json.loads(done.stdout, parse_constant=pytest.fail)
+    assert figures["error_peak_mps2"] is None
+
+
 def test_a_run_that_fails_is_a_line_and_the_others_go_on():
     done = asked(
         "compare", "pi", "no_such_module:C", "--set", "duration_s=0.2", "--case", "a:seed=1"
@@ -101,7 +142,8 @@ def test_a_run_that_fails_is_a_line_and_the_others_go_on():
         (["--case", "x:seed=1", "--cases", "cars"], "--cases cars: must not stand beside --case"),
         (["empty.toml"], "empty.toml: must have a table [controller]; no other counts"),
         (["--case", "x:nonsense=1"], "nonsense: unknown key"),
-        (["--case", "x:seed*=2"], "must be a factor of a key of plant or model"),
+        (["--case", "x:fault.kind*=2"], "must be a factor of a number; fault.kind is 'actuator-"),
+        (["--case", "x:plant.mass_kg*=x"], "must be a factor of a number; plant.mass_kg is 1400"),
     ],
 )
 def test_a_bad_case_is_one_line(words, line, tmp_path):
