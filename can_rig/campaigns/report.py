@@ -113,7 +113,7 @@ def _found(axis: Axes, plan: Plan, columns: Columns) -> None:
     axis.axhline(0.0, color=style.INK, lw=0.8)
     style.ruled(axis)
     axis.set_xlabel("runs", fontsize=8)
-    axis.set_ylabel(f"least margin of\n{plan.settings.search}", fontsize=8)
+    axis.set_ylabel(f"least margin of\n{style.plain(plan.settings.search or '')}", fontsize=8)
     style.legend_above(axis)
 
 
@@ -128,7 +128,9 @@ def _rates(axis: Axes, summary: Summary) -> None:
         text = f"{100.0 * share:.4g} %  ({100.0 * low:.4g} to {100.0 * high:.4g})"
         axis.text(101.5, at, text, fontsize=8, va="center")
         axis.text(0.8, at, shorten(_said(rate.text), MOST_TEXT), fontsize=6.5, va="center")
-    axis.set_yticks(range(len(rates)), [rate.name.replace("_", " ") for rate in rates], fontsize=8)
+    axis.set_yticks(
+        range(len(rates)), [style.plain(rate.name.replace("_", " ")) for rate in rates], fontsize=8
+    )
     axis.tick_params(axis="y", length=0)
     axis.tick_params(axis="x", labelsize=7)
     axis.set_ylim(-0.5, len(rates) - 0.5)
@@ -151,8 +153,8 @@ def _histogram(axis: Axes, label: str, values: Any, failed: Any) -> None:
     ends = np.nanmin(values[known]), np.nanmax(values[known])
     bins = (np.geomspace if far else np.linspace)(*ends, count + 1).tolist()
     for mask, colour, who in (
-        (known, style.BLUE, "all requirements hold"),
-        (known & failed, style.ORANGE, "one does not"),
+        (known, style.BLUE, "no requirement fails"),
+        (known & failed, style.ORANGE, "a requirement fails"),
     ):
         axis.hist(values[mask], bins=bins, color=colour, label=who)
     for share, words in ((50.0, "median"), (99.0, "99 %")):
@@ -186,7 +188,7 @@ def _dots(
     else:
         distinct = sorted(set(texts))
         at = np.array([float(distinct.index(text)) for text in texts])
-        axis.set_xticks(range(len(distinct)), distinct, fontsize=7)
+        axis.set_xticks(range(len(distinct)), map(style.plain, distinct), fontsize=7)
     some = slice(None, None, max(1, len(at) // MOST_DOTS))
     for mask, colour in ((~failed, style.BLUE), (failed, style.ORANGE)):
         x, y = at[some][mask[some]], values[some][mask[some]]
@@ -209,7 +211,7 @@ def label_of_key(key: str) -> str:
     words, unit = in_words(last)
     place = " ".join(tables).replace("_", " ")
     words = style.in_a_line(OF_FAULT.get(words, words), unit)
-    return fill(f"{place}: {words}" if place else words, LINE)
+    return fill(style.plain(f"{place}: {words}" if place else words), LINE)
 
 
 def label_of(metric: str, names: Names) -> str:

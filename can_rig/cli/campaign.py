@@ -178,8 +178,10 @@ def _print(summary: Summary, folder: CampaignFolder) -> None:
             f"false alarms  {alarms['false_alarms']} in {alarms['hours']:.4g} h without a loss, "
             f"{alarms['per_hour']:.3g} an hour (95 %: {alarms['low']:.3g} .. {alarms['high']:.3g})"
         )
+    if summary.failed:
+        say(f"{summary.failed} of {summary.runs} runs have no result")
     for reason, count in list(summary.reasons.items())[:3]:
-        say(f"{count} runs failed: {reason}")
+        say(f"{count} of them: {reason}")
     if summary.worst:
         say(f"worst run  {summary.worst[0]['command']}")
     say(f"campaign folder  {folder.path}")

@@ -36,7 +36,7 @@ def table(*headings: str, left: int = 1, title: str | None = None, no_wrap: bool
 
 def show(what: Table) -> None:
     """A table, as wide as the terminal."""
-    Console(emoji=False).print(what)
+    Console(emoji=False, markup=False).print(what)
 
 
 def show_beside(headings: tuple[str, ...], *rows: tuple[str, ...]) -> None:
@@ -69,7 +69,7 @@ def show_pairs(rows: list[tuple[str, str]]) -> None:
 
 def wide() -> Console:
     """Standard output for tables, with full column widths for terminals, files and pipes."""
-    console = Console(soft_wrap=True, highlight=False, emoji=False)
+    console = Console(soft_wrap=True, highlight=False, emoji=False, markup=False)
     console.width = max(console.width, WIDTH)
     return console
 
@@ -183,7 +183,7 @@ def progress(what: str, unit: str, after_s: float = 0.0) -> Iterator[Bar]:
     """A bar named ``what``, counting ``unit`` such as "ticks"; hidden before ``after_s``."""
     console = Console(stderr=True)
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.fields[count]}"),
         TimeRemainingColumn(),

@@ -101,6 +101,41 @@ def test_bad_input_is_one_line(arguments, line, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+NAMES = """
+runs = 6
+[settings]
+duration_s = 0.3
+fault.at_s = 0.2
+[choices."fault.0"]
+"{odd} lost" = {{ kind = "actuator-dead" }}
+"{odd} half" = {{ kind = "actuator-dead", left = 0.5 }}
+[requirements]
+"{odd}" = "deviation_peak_after_fault_mps2 <= 1e-9"
+[tables.verdicts]
+rows = "fault.0"
+"""
+
+
+def test_names_are_no_markup_and_no_formulas(tmp_path):
+    odd = "[/red] $\\foo$ [m]"
+    (tmp_path / "own [b].toml").write_text(NAMES.format(odd=odd.replace("\\", "\\\\")))
+    done = asked("campaign", tmp_path / "own [b].toml", "--scenario", "ideal", "--workers", 1,
+                 "--out", tmp_path / "out")  # fmt: skip
+    assert done.returncode == 1, done.stderr
+    said = [line.split("  ")[0] for line in done.stdout.splitlines()]
+    assert {odd, f"{odd} lost", f"{odd} half"} <= {*said}
+
+
+def test_all_runs_without_a_result_are_counted_whatever_their_reasons(tmp_path):
+    (tmp_path / "own.toml").write_text(
+        "sampling = 'grid'\n[settings]\nduration_s = 0.3\nfault.at_s = 0.2\n"
+        "[axes]\n'plant.mass_kg' = { values = [1400, -1, -2, -3, -4, -5] }\n"
+    )
+    done = asked("campaign", tmp_path / "own.toml", "--out", tmp_path / "out", "--workers", 1)
+    assert done.returncode == 1, done.stderr
+    assert "5 of 6 runs have no result" in done.stdout.splitlines()
+
+
 def test_a_run_that_fails_makes_the_status_1(tmp_path):
     (tmp_path / "own.toml").write_text(
         OWN.format(bound=1e3) + '\n[axes."tick_s"]\nvalues = [1e-9]\n'

@@ -32,6 +32,13 @@ def test_the_bar_of_a_complete_run_ends_at_its_last_tick(tmp_path):
     assert last_count(done.stderr) == "1,000/1,000 ticks"
 
 
+def test_a_name_in_brackets_is_a_name(capsys, monkeypatch):
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    with counting("car [b]", "ticks", 10) as on_tick:
+        on_tick(10)
+    assert "car [b]" in capsys.readouterr().err
+
+
 def test_where_standard_error_is_no_terminal_there_is_no_bar(capsys):
     with counting("x", "ticks", 10) as on_tick:
         on_tick(10)
