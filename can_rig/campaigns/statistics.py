@@ -124,7 +124,9 @@ class Cross:
 
 @dataclass(frozen=True)
 class Summary:
-    """A campaign in numbers; after a search, rates and spreads cover the random runs only.
+    """A campaign in numbers.
+
+    After a search, alarms, rates, spreads, sensitivities and tables cover the random runs only.
 
     Attributes:
         runs, failed: number of runs, and number of runs without metrics.
@@ -152,15 +154,20 @@ class Summary:
     found: list[Found]
     tables: list[Cross]
 
+    @property
+    def passed(self) -> bool:
+        """Whether every run has a result, and no run fails a requirement, searched or not."""
+        return not (self.failed or any(run["margin"] < 0.0 for run in self.worst[:1]))
+
 
 def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> Summary:
     """The summary of a table that ``table.read_columns`` has read."""
     everything = columns
     columns = {name: values[plan.searched :] for name, values in columns.items()}
-    reasons = Counter(reason for reason in columns["failure"] if reason is not None)
+    reasons = Counter(reason for reason in everything["failure"] if reason is not None)
     shown = metrics_shown(required)
     names = plan.settings.names
-    hours = sum(s or 0.0 for s in columns["simulated_s"]) / HOUR_S
+    hours = sum(s or 0.0 for s in everything["simulated_s"]) / HOUR_S
     alarms = round(sum(n or 0 for n in columns["false_alarms"]))
     pairs = zip(columns["torque_healthy_s"], columns["false_alarms"], strict=True)
     counted = sum(s or 0.0 for s, n in pairs if n is not None) / HOUR_S
@@ -178,7 +185,7 @@ def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> 
         rates.append(rate("all", "all of them", _together(list(verdicts.values()))))
     axes = {key: columns[key] for key in names}
     return Summary(
-        runs=len(columns["run"]),
+        runs=len(everything["run"]),
         failed=sum(reasons.values()),
         reasons=dict(reasons.most_common()),
         hours=hours,

@@ -57,7 +57,9 @@ def test_an_interruption_changes_nothing(done, tmp_path):
 
 def test_the_report_is_of_the_random_runs_and_says_what_was_found(done):
     summary = write_report(done)
-    assert summary.runs == BUDGET
+    assert summary.runs == 2 * BUDGET
+    rate = summary.rates[0]
+    assert rate.passed + rate.failed + rate.unknown == BUDGET
     columns = read_columns(done.table)
     assert summarise(done.plan, requirements_of(done.plan), columns) == summary
     assert [each.method for each in summary.found] == ["search", "random"]
@@ -66,6 +68,19 @@ def test_the_report_is_of_the_random_runs_and_says_what_was_found(done):
     assert summary.worst[0]["margin"] == least
     assert json.loads((done.path / "summary.json").read_text())["found"][1]["runs"] == BUDGET
     assert "least margin of small" in (done.path / "report.html").read_text("utf-8")
+
+
+def test_a_run_that_the_search_alone_finds_counts_for_the_status(done):
+    required = requirements_of(done.plan)
+    columns = read_columns(done.table)
+    alike = {name: [values[-1]] * len(values) for name, values in columns.items()}
+    alike["margin"] = [0.5] * len(alike["margin"])
+    assert summarise(done.plan, required, alike).passed
+    for name, bad in (("margin", -0.5), ("failure", "no reference")):
+        one = {**alike, name: [bad, *alike[name][1:]]}
+        found = summarise(done.plan, required, one)
+        assert not found.passed
+        assert found.reasons == ({bad: 1} if name == "failure" else {})
 
 
 @pytest.mark.parametrize("axes", [1, 2, 5])
