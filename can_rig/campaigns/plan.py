@@ -102,6 +102,11 @@ class Base:
         low, high = self._ends(key, axis)
         whole = isinstance(self.value(key), int) and not axis.others
         if whole and self.settings.sampling != "grid":
+            if math.ceil(low) > high:
+                raise ScenarioError(
+                    f"axes.{key}: {low:g} to {high:g}: must have a whole number, "
+                    f"as {key} = {self.value(key)} in the scenario is"
+                )
             low, high = float(math.ceil(low)), math.floor(high) + 1.0
         if axis.scale == "log":
             value = math.exp(math.log(low) + unit * (math.log(high) - math.log(low)))

@@ -163,6 +163,8 @@ class CampaignSettings:
     def __post_init__(self) -> None:
         if not self.scenario:
             raise ValueError("scenario = []: must have at least one scenario")
+        if ALL in self.requirements:
+            raise ValueError(f"requirements.{ALL}: must have another name: {ALL} means all of them")
         self._refuse_choices()
         if self.search is not None:
             self._refuse_search(self.search)

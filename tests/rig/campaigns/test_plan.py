@@ -169,6 +169,9 @@ def test_a_seed_of_one_s_own_stays():
         ({"runs": 3, "scenario": "nowhere"}, "no such scenario"),
         ({"runs": 3, "axes": {"plant.sensor.corner_hz": {"range": [50.0, 99.0]}}},
          "model.sensor.corner_hz must be set"),
+        ({"runs": 3, "axes": {"latency_ticks": {"range": [1.2, 1.8]}}},
+         "axes.latency_ticks: 1.2 to 1.8: must have a whole number, as latency_ticks = 1 in the"),
+        ({"runs": 3, "requirements": {"all": "false_alarms == 0"}}, "all: must have another name"),
     ],
 )  # fmt: skip
 def test_what_makes_no_campaign_is_named_in_a_line(values, line):
