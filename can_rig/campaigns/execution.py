@@ -1,9 +1,10 @@
 """The folder of a campaign, new or resumed, and its runs: drawn blocks, a search, one table."""
 
+import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import takewhile
@@ -26,6 +27,7 @@ from can_rig.campaigns.rows import (
 from can_rig.campaigns.statistics import margin_column
 from can_rig.campaigns.workers import Compute, versions
 from can_rig.errors import LogError, RunFolderError, require
+from can_rig.scenario.own_class import module_file
 from can_rig.storage.files import atomic, tidy
 from can_rig.storage.folders import Kind, NewFolder, default_folder, remove
 
@@ -141,7 +143,29 @@ def _said(plan: Plan) -> dict[str, Any]:
         "campaign": plan.settings.as_dict(),
         "scenario": {name: base.values for name, base in plan.bases.items()},
         "versions": versions(),
+        "files": _digests(plan),
     }
+
+
+def _digests(plan: Plan) -> dict[str, str]:
+    """Digest of each file that a value of a run names: a module, a library, a CSV, a database."""
+    digests = {}
+    settings = plan.settings.as_dict()
+    for text in _texts([base.values for base in plan.bases.values()], settings["axes"],
+                       settings["choices"]):  # fmt: skip
+        for path in (Path(text), Path(text.partition(":")[2]), module_file(text)):
+            with suppress(OSError):  # most texts name no file, and some no possible file
+                if path.is_file():
+                    digests[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    return digests
+
+
+def _texts(*values: Any) -> Iterator[str]:
+    for value in values:
+        if isinstance(value, str):
+            yield value
+        elif isinstance(value, Mapping | list | tuple):
+            yield from _texts(*(value.values() if isinstance(value, Mapping) else value))
 
 
 def _require_same(file: Path, plan: Plan) -> None:
@@ -150,7 +174,10 @@ def _require_same(file: Path, plan: Plan) -> None:
     except (OSError, ValueError) as error:
         raise RunFolderError(f"{file}: cannot be read: {error}") from None
     now = json.loads(json.dumps(_said(plan)))
-    for part, what in (("campaign", "campaign"), ("scenario", "scenario"), ("versions", "package")):
+    for part, what in (
+        ("campaign", "campaign"), ("scenario", "scenario"), ("versions", "package"),
+        ("files", "file"),
+    ):  # fmt: skip
         old, new = before.get(part, {}), now[part]
         for key in new:
             if old.get(key) != new[key]:

@@ -44,6 +44,12 @@ def is_class_path(text: str) -> bool:
     return all(part.isidentifier() for part in (name, *module.split(".")))
 
 
+def module_file(path: str) -> Path:
+    """The file of the module in a class path; there is none of an installed package."""
+    folder, module, _ = _split(path)
+    return folder / f"{module.replace('.', '/')}.py"
+
+
 def path_of(module: str, name: str) -> str:
     """``FOLDER/module:Name`` of the class ``name``; a script's module is the script's file."""
     script = _script().with_suffix("")
@@ -83,7 +89,7 @@ def find_class(where: str, path: str, method: str) -> type[object]:
     if here not in sys.path:
         sys.path.append(here)  # last: no stray file hides an installed package
     importlib.invalidate_caches()
-    mine = Path(f"{here}/{module_name.replace('.', '/')}.py")
+    mine = Path(here) / module_file(path).relative_to(folder)
     if mine.resolve() == _script():
         module_name = MAIN
     try:

@@ -327,6 +327,26 @@ def test_what_may_not_be_replaced_or_gone_on_with_is_said(tmp_path):
     open_folder(path, planned(seed=1), **forced)
 
 
+def test_a_changed_file_of_a_run_is_another_campaign(tmp_path):
+    """Half of the rows would be of one class, half of another."""
+    module, library, table = (tmp_path / name for name in ("law.py", "law.so", "r.csv"))
+    values = {"axes": {"controller.kind": {"values": [f"{tmp_path}/law:Law", f"c:{library}"]}},
+              "settings": {**SHORT["settings"], "reference": {"kind": "csv", "file": str(table)}},
+              "description": "x" * 5000}  # fmt: skip
+    module.write_text("class Law: pass")
+    library.write_bytes(b"1")
+    table.write_text("0,0\n1,1\n")
+    path = tmp_path / "out"
+    open_folder(path, planned(**values), resume=False, force=False).made.close()
+    open_folder(path, planned(**values), resume=True, force=False).made.close()
+    for file in (module, library, table):
+        before = file.read_bytes()
+        file.write_bytes(before + b"\n")
+        with pytest.raises(RunFolderError, match=f"file {file} is '.*must be the same to go on"):
+            open_folder(path, planned(**values), resume=True, force=False)
+        file.write_bytes(before)
+
+
 def test_a_campaign_that_is_killed_goes_on_where_it_was(tmp_path):
     values = {"runs": 24, "settings": {**SHORT["settings"], "duration_s": 1.0}}
     file, blocks = written(tmp_path, **values), tmp_path / "out" / "blocks"
