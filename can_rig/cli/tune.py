@@ -79,7 +79,8 @@ def command(
 ) -> None:
     """Choose tau, tau_q, alpha and alpha_q for SCENARIO: least peak after the loss of the torque.
 
-    The peak is that of a drive without noise; with noise a run may have twice as much.
+    The peak is that of a drive without noise, of a plant that the decision knows exactly; with
+    noise, or with budget.box, a run may have twice as much and more.
 
     Every candidate is stable with spare ticks of delay, healthy and faulted, for a box of cars
     around the nominal car.  Exit status: 0 found, 1 no stable candidate, or none within
