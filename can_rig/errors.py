@@ -23,6 +23,9 @@ ARGUMENTS: Final = {
     "--out": "folder",
     "--scenario NAME": "name",
     "--set ": "",
+    "--tolerance ": "tolerances: ",
+    "--from": "from_s",
+    "--to ": "to_s ",
 }
 """Python's argument names for options of the command line."""
 

@@ -15,9 +15,10 @@ The package imports every room below; only commands may import it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Integral, Real
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -200,8 +201,12 @@ def compare(
     """
     if isinstance(cases, str):
         if cases not in CASES:
-            raise ScenarioError(f"cases = {cases!r}: must be {', '.join(CASES)}, or a mapping")
+            raise ScenarioError(
+                f"cases = {cases!r}: must be {', '.join(CASES)}, or changes by name"
+            )
         cases = CASES[cases]
+    if not (isinstance(cases, Mapping) and all(isinstance(v, Mapping) for v in cases.values())):
+        raise ScenarioError(f"cases = {cases!r}: must be {', '.join(CASES)}, or changes by name")
     settings = settings_of(changes)
     if not isinstance(controllers, list | tuple):
         raise ScenarioError(f"controllers = {controllers!r}: must be a list, as ['ours', 'pi']")
@@ -226,7 +231,10 @@ def diff(
     Raises:
         LogError: no such run, no row of the same time, or a tolerance of no signal.
     """
-    return difference_of(_table(a), _table(b), tolerances or {})
+    if not isinstance(tolerances, Mapping | None):
+        raise LogError(f"tolerances = {tolerances!r}: must be numbers by signal")
+    allowed = {name: _number(name, each) for name, each in (tolerances or {}).items()}
+    return difference_of(_table(a), _table(b), allowed)
 
 
 @in_python
@@ -268,7 +276,7 @@ def stats(
         LogError: the log cannot be read.
         RigError: impossible bit rates.
     """
-    statistics = LogStatistics(bitrate, data_bitrate)
+    statistics = LogStatistics(_number("bitrate", bitrate), _number("data_bitrate", data_bitrate))
     for frames in read_log(log_path(_path("log", log))):
         statistics.add(frames)
     statistics.finish()
@@ -300,6 +308,7 @@ def campaign(
     workers: int = 1,
     folder: str | Path | None = None,
     force: bool = False,
+    resume: bool = False,
 ) -> Campaign:
     """Thousands of runs of one scenario, in this process or in several.
 
@@ -311,8 +320,10 @@ def campaign(
         seed: in place of the campaign's own.
         search: a requirement whose worst runs are looked for.
         workers: processes; a script with more than one needs ``if __name__ == "__main__":``.
-        folder: for table and report; None: nothing is left on disk.
+        folder: for table and report; None: nothing is left on disk. Finished runs stay in the
+            folder after Ctrl-C.
         force: replace an existing folder of a campaign.
+        resume: continue the campaign in ``folder``.
 
     Raises:
         ScenarioError: no such campaign or scenario, an unknown key, a bad value.
@@ -321,11 +332,17 @@ def campaign(
     import pandas as pd  # noqa: PLC0415 (slow to import)
 
     scenarios = None if scenario is None else [str(_path("scenario", scenario))]
-    keys = {"scenario": scenarios, "runs": runs, "seed": seed, "search": search}
+    keys = {"scenario": scenarios, "runs": _number("runs", runs, WHOLE, Integral),
+            "seed": _number("seed", seed, WHOLE, Integral), "search": search}  # fmt: skip
+    workers = _number("workers", workers, WHOLE, Integral)
+    if workers < 1:
+        raise ScenarioError(f"workers = {workers}: must be at least 1")
+    if resume and (folder is None or force):
+        raise ScenarioError("resume = True: must come with folder, and not with force")
     planned = plan(read_campaign(str(_path("name", name)), settings_of(changes), **keys))
     with TemporaryDirectory(prefix="can-rig-") as temporary:
         where = Path(temporary) / "campaign" if folder is None else _path("folder", folder)
-        made = open_folder(where, planned, resume=False, force=force)
+        made = open_folder(where, planned, resume=resume, force=force)
         try:
             compute = serially(planned) if workers == 1 else in_processes(planned, workers)
             execute(made, compute, lambda: False, lambda done: None)
@@ -333,7 +350,8 @@ def campaign(
             table = pd.read_parquet(made.table)
             made.made.publish()
         except BaseException:
-            made.made.give_up()
+            if made.done == 0:
+                made.made.give_up()
             raise
         finally:
             made.made.close()
@@ -370,16 +388,19 @@ def tune(
         ScenarioError: as ``load_scenario``, or an invalid range.
     """
     chosen = load_scenario(name, changes)
-    if not isinstance(box, int | float):
-        raise ScenarioError(f"box = {box!r}: must be a share, as in 0.2 for ±20 %")
-    if not isinstance(spare_ticks, int):
-        raise ScenarioError(f"spare_ticks = {spare_ticks!r}: must be a whole number of ticks")
+    box = _number("box", box, "a share, as in 0.2 for ±20 %")
+    spare_ticks = _number("spare_ticks", spare_ticks, "a whole number of ticks", Integral)
+    if not isinstance(ranges, Mapping | None):
+        raise ScenarioError(f"ranges = {ranges!r}: must be pairs by key")
     for key, pair in (ranges or {}).items():
         if not (isinstance(pair, tuple | list) and len(pair) == 2):
             raise ScenarioError(f"ranges: {key} = {pair!r}: must be a pair, lowest and highest")
     limits = [f"{key}={low}..{high}" for key, (low, high) in (ranges or {}).items()]
     some = cars_of(chosen, box, limits)
-    return search(chosen, some, spare_ticks, noise_limit_n, torque_noise_limit_nm)
+    return search(
+        chosen, some, spare_ticks, _number("noise_limit_n", noise_limit_n),
+        _number("torque_noise_limit_nm", torque_noise_limit_nm),
+    )  # fmt: skip
 
 
 @in_python
@@ -410,7 +431,10 @@ def decode(
     """
     tables = {}
     log, dbc = _path("log", log), _path("dbc", dbc)
-    decoded = decode_log(log, dbc, messages, signals, from_s=from_s, to_s=to_s)
+    decoded = decode_log(
+        log, dbc, _names("messages", messages), _names("signals", signals),
+        from_s=_number("from_s", from_s), to_s=_number("to_s", to_s),
+    )  # fmt: skip
     for name, columns in decoded.items():
         tables[name] = table = columns.to_pandas()
         units = {signal: layout.unit for signal, layout in columns.layout.items()}
@@ -504,8 +528,9 @@ def replay(
     named = dbc if isinstance(dbc, Mapping) else {} if dbc is None else {"": dbc}
     files = {str(bus): _path("dbc", file) for bus, file in named.items()}
     path = _path("log", log)
-    source = Source(read_log(log_path(path), window=window_of(from_s, to_s)), scenario)
-    return ReplayedDrive(replay_drive(source, files, max_age_s))
+    window = window_of(_number("from_s", from_s), _number("to_s", to_s))
+    source = Source(read_log(log_path(path), window=window), scenario)
+    return ReplayedDrive(replay_drive(source, files, _number("max_age_s", max_age_s)))
 
 
 @in_python
@@ -541,3 +566,20 @@ def _path(argument: str, value: object) -> Path:
     if not isinstance(value, str | Path):
         raise RigError(f"{argument} = {value!r}: must be the path of one file or folder")
     return Path(value)
+
+
+WHOLE = "a whole number"
+
+
+def _number(argument: str, value: Any, must: str = "a number", kind: type = Real) -> Any:
+    """A number of Python or of NumPy as one of Python; None stays."""
+    plain = value.item() if getattr(value, "ndim", None) == 0 else value
+    if plain is not None and (isinstance(plain, bool) or not isinstance(plain, kind)):
+        raise ScenarioError(f"{argument} = {value!r}: must be {must}")
+    return plain
+
+
+def _names(argument: str, value: Any) -> list[str] | None:
+    if isinstance(value, str) or not isinstance(value, Iterable | None):
+        raise LogError(f"{argument} = {value!r}: must be a list of names")
+    return None if value is None else list(value)

@@ -13,7 +13,7 @@ from can_rig.cli.options import force_option, json_option, out_option, set_optio
 from can_rig.cli.output import counting, json_line, note, say, table, wide
 from can_rig.errors import ScenarioError
 from can_rig.scenario.loading import change
-from can_rig.storage.files import atomic, refuse_picture
+from can_rig.storage.files import refuse_picture
 from can_rig.views.controllers_compared import CASES, Compared, compare, known_controllers
 
 
@@ -69,8 +69,7 @@ def command(
             lambda done, _: on_run(done),
         )  # fmt: skip
     if out is not None:
-        with atomic(out, force=force) as part:
-            found.draw(part)
+        found.draw(out, force=force)
     failed = any(row.failure for row in found.rows)
     if as_json:
         for row in found.rows:

@@ -17,7 +17,7 @@ import numpy as np
 
 from can_rig.assessment import resolve
 from can_rig.drawing.thinning import thinned
-from can_rig.errors import RigError, ScenarioError
+from can_rig.errors import RigError, ScenarioError, in_python
 from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.metrics import decision_metrics
@@ -27,6 +27,7 @@ from can_rig.scenario.from_python import settings_of
 from can_rig.scenario.loading import Changes, value_in, written
 from can_rig.scenario.plant_settings import flat
 from can_rig.scenario.settings import Scenario
+from can_rig.storage.files import atomic, refuse_picture
 from firmware_model.law.structs import FloatArray
 
 if TYPE_CHECKING:
@@ -136,8 +137,17 @@ class Comparison:
 
         return pd.DataFrame([asdict(row) for row in self.rows])
 
-    def draw(self, path: Path) -> None:
-        """One picture: a panel for each case, a curve of the error for each controller."""
+    @in_python
+    def draw(self, path: str | Path, *, force: bool = False) -> None:
+        """One picture: a panel for each case, a curve of the error for each controller.
+
+        Args:
+            path: where, by ``.png``, ``.svg`` or ``.pdf``.
+            force: replace an existing file.
+
+        Raises:
+            LogError: another suffix, or the file exists or cannot be written.
+        """
         from can_rig.drawing.style import BLUE, GREEN, INK, ORANGE, page, plain, ruled  # noqa: PLC0415
 
         colours = (BLUE, ORANGE, GREEN, INK, "#7a4b9e", "#9a8a1f")
@@ -161,7 +171,10 @@ class Comparison:
         panels[(lines - 1) * columns].set_xlabel("time in s")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
-        figure.savefig(path, dpi=110)
+        path = Path(path)
+        refuse_picture(path, force)
+        with atomic(path, force=force) as part:
+            figure.savefig(part, dpi=110)
 
 
 def compare(

@@ -21,6 +21,7 @@ import can_rig
 from can_rig import api, errors
 from can_rig.api import RecordedRun
 from can_rig.assessment.stability import StabilityCheck
+from can_rig.campaigns import rows
 from can_rig.campaigns.statistics import Summary
 from can_rig.decoding.decode import decode_log
 from can_rig.replaying.replay import Comparison
@@ -236,6 +237,46 @@ def test_a_campaign_is_a_table_of_runs(tmp_path: Path) -> None:
     assert len(can_rig.campaign(tmp_path / "two.toml", SHORT, workers=2).runs) == 2
 
 
+def test_a_campaign_that_is_interrupted_keeps_its_runs_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = iter(range(7))
+    computed = rows.run_row
+
+    def interrupted(*of: Any) -> Any:
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        return computed(*of)
+
+    monkeypatch.setattr(rows, "run_row", interrupted)
+    some: Any = {"changes": SHORT, "runs": np.int64(16), "folder": tmp_path / "kept"}
+    with pytest.raises(KeyboardInterrupt):
+        can_rig.campaign("losses", **some)
+    before = {file: file.read_bytes() for file in (tmp_path / "kept").rglob("*.parquet")}
+    assert len(before) == 7
+    monkeypatch.setattr(rows, "run_row", computed)
+    found = can_rig.campaign("losses", **some, resume=True)
+    whole = can_rig.campaign("losses", SHORT, runs=16)
+    pd.testing.assert_frame_equal(found.runs, whole.runs)
+
+
+def test_numbers_of_numpy_and_lists_of_names_are_taken_as_such(run: RecordedRun) -> None:
+    log, dbc = run.folder / LOG, STEERING
+    some: Any = {"from_s": np.float32(0.2), "messages": (name for name in ["DSTAR_FEEDBACK"])}
+    found = can_rig.decode(log, dbc, **some)
+    assert {name: len(table) for name, table in found.items()} == {"DSTAR_FEEDBACK": 200}
+    assert can_rig.diff(run, run, tolerances={"torque_nm": np.array(1)}).same  # type: ignore[dict-item]
+
+
+def test_a_picture_of_controllers_replaces_no_file(tmp_path: Path) -> None:
+    found = can_rig.compare(["pi"], changes=SHORT, cases={"lost": {}})
+    found.draw(str(tmp_path / "a.png"))
+    for path, line in (("a.png", "a.png: .*force=True to replace it"), ("a.nope", "FILE.png")):
+        with pytest.raises(errors.LogError, match=line):
+            found.draw(tmp_path / path)
+    found.draw(tmp_path / "a.png", force=True)
+
+
 def test_a_run_is_verified_by_the_controller_of_today(run: RecordedRun, tmp_path: Path) -> None:
     same = assert_type(can_rig.verify(run), Comparison)
     assert (same.identical, same.compared) == (True, 400)
@@ -299,6 +340,19 @@ REFUSED: list[tuple[Callable[[], Any], type[errors.RigError], str]] = [
     (lambda: ANY.save_scenario("default", "x.toml"), errors.ScenarioError, "must be a Scenario"),
     (lambda: ANY.compare(["pi"], cases={}), errors.ScenarioError, "a controller and a case"),
     (lambda: ANY.stats(DRIVE).load("x"), errors.LogError, "bus = 'x': must be one of "),
+    (lambda: ANY.compare(["pi"], cases=["a"]), errors.ScenarioError, "or changes by name"),
+    (lambda: ANY.compare(["pi"], cases={"a": "b"}), errors.ScenarioError, "or changes by name"),
+    (lambda: ANY.diff(".", ".", tolerances={"a": "b"}), errors.RigError, "a = 'b': must be a num"),
+    (lambda: ANY.diff(".", ".", tolerances=["a"]), errors.RigError, "must be numbers by signal"),
+    (lambda: ANY.campaign("losses", workers=0), errors.ScenarioError, "workers = 0: must be at"),
+    (lambda: ANY.campaign("losses", workers="2"), errors.ScenarioError, "must be a whole number"),
+    (lambda: ANY.campaign("losses", resume=True), errors.ScenarioError, "must come with folder"),
+    (lambda: ANY.tune("default", noise_limit_n="a"), errors.ScenarioError, "must be a number"),
+    (lambda: ANY.tune("default", ranges=["a"]), errors.ScenarioError, "must be pairs by key"),
+    (lambda: ANY.stats(DRIVE, bitrate="x"), errors.RigError, "bitrate = 'x': must be a number"),
+    (lambda: ANY.decode(DRIVE, STEERING, from_s="a"), errors.RigError, "from_s = 'a': must be"),
+    (lambda: ANY.decode(DRIVE, STEERING, from_s=2, to_s=1), errors.LogError, "from_s 2 to_s 1:"),
+    (lambda: ANY.decode(DRIVE, STEERING, signals="a"), errors.LogError, "must be a list of names"),
     (lambda: ANY.compare([3]), errors.ScenarioError, "controllers = 3: must be a text, a class"),
 ]  # fmt: skip
 
