@@ -59,7 +59,8 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
     metrics = metrics[:MOST_METRICS]
     axes = plan.settings.names[:MOST_AXES]
     heights = [PANEL_IN] * bool(summary.found)
-    if summary.rates:
+    rated = any(rate.share is not None for rate in summary.rates)
+    if rated:
         heights.append(RATE_IN * len(summary.rates) + 0.7)
     heights += [PANEL_IN] * (1 + len(axes)) if metrics else []
     figure = style.page(0.8 + sum(heights))
@@ -75,7 +76,7 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
     parts = iter(rows[:, 0])
     if summary.found:
         _found(next(parts).subplots(), plan, columns)
-    if summary.rates:
+    if rated:
         _rates(next(parts).subplots(), summary)
     if not metrics:
         return figure

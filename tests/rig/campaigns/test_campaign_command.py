@@ -126,6 +126,16 @@ def test_names_are_no_markup_and_no_formulas(tmp_path):
     assert {odd, f"{odd} lost", f"{odd} half"} <= {*said}
 
 
+@pytest.mark.filterwarnings("error")
+def test_requirements_that_no_run_decides_are_no_warning(tmp_path):
+    (tmp_path / "own.toml").write_text(
+        "runs = 2\n[settings]\nduration_s = 0.3\nfault.at_s = 0.5\n"
+        "[requirements]\nfound = 'not missed_detection'\n"
+    )
+    done = asked("campaign", tmp_path / "own.toml", "--out", tmp_path / "out", "--workers", 1)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_all_runs_without_a_result_are_counted_whatever_their_reasons(tmp_path):
     (tmp_path / "own.toml").write_text(
         "sampling = 'grid'\n[settings]\nduration_s = 0.3\nfault.at_s = 0.2\n"
