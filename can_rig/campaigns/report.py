@@ -322,7 +322,7 @@ def _cross(cross: Cross) -> list[str]:
 
 def _failed(rate: Rate) -> str:
     if not rate.failed:
-        return ""
+        return "-" if rate.share is None else ""
     low, high = 1.0 - (rate.high or 0.0), 1.0 - (rate.low or 0.0)
     return f"{rate.failed} ({low:.1%} to {high:.1%})"
 

@@ -147,7 +147,7 @@ def _show_cross(cross: Cross) -> None:
     rows = []
     for row in cross.rows:
         counts = (str(row.counts.get(name, "")) for name in cross.columns)
-        failed = (str(rate.failed or "") for rate in row.rates)
+        failed = ("-" if rate.share is None else str(rate.failed or "") for rate in row.rates)
         rows.append((row.name, str(row.runs), *counts, *failed))
     say("")
     show_beside((cross.of_rows, "runs", *columns, *fails), *rows)

@@ -146,6 +146,20 @@ def test_all_runs_without_a_result_are_counted_whatever_their_reasons(tmp_path):
     assert "5 of 6 runs have no result" in done.stdout.splitlines()
 
 
+def test_a_row_without_a_decided_run_does_not_look_like_a_row_without_a_failure(tmp_path):
+    (tmp_path / "own.toml").write_text(
+        "sampling = 'grid'\n[settings]\nduration_s = 0.3\nfault.at_s = 0.2\n"
+        "[axes]\n'plant.mass_kg' = { values = [1400, -1] }\n"
+        "[requirements]\nx = 'torque_peak_nm > 0'\n[tables.t]\nrows = 'plant.mass_kg'\n"
+    )
+    done = asked("campaign", tmp_path / "own.toml", "--out", tmp_path / "out", "--workers", 1)
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert ["-1.0", "1", "-"] in lines
+    assert ["1400.0", "1"] in lines
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert re.search(r"<td>-1.0</td><td[^>]*>1</td><td[^>]*>-</td>", page)
+
+
 def test_a_run_that_fails_makes_the_status_1(tmp_path):
     (tmp_path / "own.toml").write_text(
         OWN.format(bound=1e3) + '\n[axes."tick_s"]\nvalues = [1e-9]\n'
