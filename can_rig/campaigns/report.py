@@ -29,6 +29,7 @@ from can_rig.campaigns.statistics import (
     margin_column,
     metrics_shown,
     numbers,
+    percent,
     summarise,
 )
 from can_rig.drawing import style
@@ -126,7 +127,7 @@ def _rates(axis: Axes, summary: Summary) -> None:
         axis.barh(at, 100.0, color=style.PALE_ORANGE, height=0.5)
         axis.barh(at, 100.0 * share, color=style.PALE_BLUE, height=0.5)
         axis.plot([100.0 * low, 100.0 * high], [at, at], color=style.INK, lw=2.0)
-        text = f"{100.0 * share:.4g} %  ({100.0 * low:.4g} to {100.0 * high:.4g})"
+        text = f"{percent(share)}  ({percent(low)} to {percent(high)})"
         axis.text(101.5, at, text, fontsize=8, va="center")
         axis.text(0.8, at, shorten(_said(rate.text), MOST_TEXT), fontsize=6.5, va="center")
     axis.set_yticks(
@@ -253,8 +254,8 @@ def html_page(plan: Plan, summary: Summary, figure: Figure) -> str:
     if summary.rates:
         parts += ["<h2>Requirements</h2>", table(
             ("requirement", "expression", "passed", "failed", "without", "rate", "95 %"),
-            ((rate.name, rate.text, rate.passed, rate.failed, rate.unknown, _percent(rate.share),
-              f"{_percent(rate.low)} to {_percent(rate.high)}") for rate in summary.rates),
+            ((rate.name, rate.text, rate.passed, rate.failed, rate.unknown, percent(rate.share),
+              f"{percent(rate.low)} to {percent(rate.high)}") for rate in summary.rates),
         )]  # fmt: skip
     if alarms["per_hour"] is not None:
         parts.append(
@@ -277,7 +278,7 @@ def html_page(plan: Plan, summary: Summary, figure: Figure) -> str:
         parts += ["<h2>What each axis explains</h2>",
                   "<p>Share of the variance that the axis explains alone.</p>", table(
             ("metric", *settings.names),
-            ((name, *(_percent(by[key]) for key in settings.names))
+            ((name, *(percent(by[key]) for key in settings.names))
              for name, by in summary.sensitivities.items()),
         )]  # fmt: skip
     if summary.worst:
@@ -330,10 +331,6 @@ def _failed(rate: Rate) -> str:
 def _spread(row: CrossRow, name: str) -> str:
     its = next((each for each in row.spreads if each.name == name), None)
     return "" if its is None else f"{its.median:.3g}, {its.percentile_99:.3g}, {its.greatest:.3g}"
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{share:.2%}"
 
 
 def write_report(folder: CampaignFolder) -> Summary:

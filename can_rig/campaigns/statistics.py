@@ -333,6 +333,14 @@ def rate(name: str, text: str, verdicts: Sequence[bool | None]) -> Rate:
     )  # fmt: skip
 
 
+def percent(share: float | None) -> str:
+    """A share with two digits, or with so many that only all is 100 % and only none is 0 %."""
+    if share is None:
+        return NO_VALUE
+    text = f"{share:.2%}"
+    return f"{share:.6%}" if text in {"0.00%", "100.00%"} and 0.0 < share < 1.0 else text
+
+
 def poisson_interval(events: int) -> tuple[float, float]:
     """The exact interval of the expected number where ``events`` were counted."""
     rest = (1.0 - CONFIDENCE) / 2.0

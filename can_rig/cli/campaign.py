@@ -14,7 +14,7 @@ from can_rig.campaigns.execution import CampaignFolder, execute, open_folder
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.report import write_report
 from can_rig.campaigns.settings import read_campaign
-from can_rig.campaigns.statistics import Cross, Summary
+from can_rig.campaigns.statistics import Cross, Summary, percent
 from can_rig.campaigns.workers import Compute, in_processes, serially
 from can_rig.cli.options import json_option, set_option
 from can_rig.cli.output import counting, json_line, say, show_beside, table, wide
@@ -157,10 +157,9 @@ def _print(summary: Summary, folder: CampaignFolder) -> None:
     rates = table("requirement", "passed", "failed", "without", "rate", "95 %", "", left=1)
     rates.columns[-1].justify = "left"
     for rate in summary.rates:
-        share = "-" if rate.share is None else f"{rate.share:.2%}"
-        interval = "-" if rate.low is None else f"{rate.low:.2%} .. {rate.high:.2%}"
+        interval = "-" if rate.low is None else f"{percent(rate.low)} .. {percent(rate.high)}"
         numbers = (str(number) for number in (rate.passed, rate.failed, rate.unknown))
-        rates.add_row(rate.name, *numbers, share, interval, rate.text)
+        rates.add_row(rate.name, *numbers, percent(rate.share), interval, rate.text)
     console = wide()
     console.print(rates)
     spreads = table("metric", "runs", "least", "median", "99 %", "greatest")

@@ -9,6 +9,7 @@ from can_rig.campaigns.statistics import (
     explained,
     numbers,
     parts_of,
+    percent,
     poisson_interval,
     rate,
     spread,
@@ -27,6 +28,12 @@ def test_a_rate_has_the_exact_interval(passed, failed, unknown):
     low = 0.0 if passed == 0 else special.betaincinv(passed, n - passed + 1, 0.025)
     high = 1.0 if passed == n else special.betaincinv(passed + 1, n - passed, 0.975)
     assert (found.low, found.high) == pytest.approx((low, high), abs=1e-9)
+
+
+def test_a_failure_among_a_million_runs_is_no_100_percent():
+    shares = [None, 0.0, 1e-6, 0.5, 2.0 / 3.0, 1.0 - 1e-6, 1.0]
+    said = ["-", "0.00%", "0.000100%", "50.00%", "66.67%", "99.999900%", "100.00%"]
+    assert [percent(share) for share in shares] == said
 
 
 @pytest.mark.parametrize("events", [0, 1, 7, 40])
