@@ -24,8 +24,9 @@ def _controllers(_c: click.Context, _p: click.Parameter, begun: str) -> list[Com
 USUAL = "faults"
 """The group of cases without ``--cases`` and ``--case``."""
 
-SMALL, TINY = 100.0, 1e-3
-"""A command below the first and an error below the second have three digits, as 0.4 rad does."""
+SMALL, TINY, HUGE = 100.0, 1e-3, 1e6
+"""A command below the first and an error below the second have three digits, as 0.4 rad does, and
+so has everything from the third on, as of a loop that diverges."""
 
 
 @click.command("compare")
@@ -101,8 +102,8 @@ def _cells(row: Compared) -> Sequence[str]:
     elif row.confirmed_after_s is not None and not alarm:
         alarm = f"{row.confirmed_after_s:.3f}"
     peaks = row.torque_peak_nm, row.force_difference_peak_n
-    commands = (f"{peak:.0f}" if peak >= SMALL else f"{peak:.3g}" for peak in peaks)
-    errors = (f"{size:.4f}" if size >= TINY else f"{size:.3g}" for size in sizes)
+    commands = (f"{peak:.0f}" if SMALL <= peak < HUGE else f"{peak:.3g}" for peak in peaks)
+    errors = (f"{size:.4f}" if TINY <= size < HUGE else f"{size:.3g}" for size in sizes)
     return (*errors, alarm, *commands)
 
 

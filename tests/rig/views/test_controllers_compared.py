@@ -114,6 +114,14 @@ def test_a_shipped_case_has_its_own_faults_and_weather_alone(tmp_path):
         assert row.error_peak_mps2 > 0.05
 
 
+def test_the_error_of_a_loop_that_diverges_is_whole():
+    done = succeeded("compare", "pi", "--scenario", "pendulum", "--case", "healthy:fault.kind=none",
+                     "--set", "duration_s=6")  # fmt: skip
+    cells = done.stdout.splitlines()[1].split()
+    assert float(cells[2]) > 1e6
+    assert len(cells[2]) < 10
+
+
 def test_a_run_that_fails_is_null_in_json():
     done = asked(
         "compare", "no_such_module:C", "--set", "duration_s=0.2", "--case", "a:seed=1", "--json"
