@@ -37,7 +37,7 @@ from can_rig.campaigns.settings import read_campaign
 from can_rig.campaigns.statistics import Summary
 from can_rig.campaigns.workers import in_processes, serially
 from can_rig.decoding.decode import decode_log
-from can_rig.errors import LogError, RigError, ScenarioError, in_python
+from can_rig.errors import LogError, RigError, ScenarioError, WorkersLostError, in_python
 from can_rig.logs.frames import window_of
 from can_rig.logs.reading import read_log
 from can_rig.replaying.estimator import Replayed, replay_drive, write
@@ -349,7 +349,9 @@ def campaign(
             summary = write_report(made)
             table = pd.read_parquet(made.table)
             made.made.publish()
-        except BaseException:
+        except BaseException as error:
+            if isinstance(error, WorkersLostError):
+                error.args = (f'{error} A script needs if __name__ == "__main__":',)
             if made.done == 0:
                 made.made.give_up()
             raise

@@ -260,6 +260,17 @@ def test_a_campaign_that_is_interrupted_keeps_its_runs_and_goes_on(
     pd.testing.assert_frame_equal(found.runs, whole.runs)
 
 
+def test_lost_workers_remind_of_what_a_script_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the line each worker runs the script again, and dies in its second campaign."""
+
+    def lost(*_: Any) -> None:
+        raise errors.WorkersLostError("the worker died 5 times; is there enough memory?")
+
+    monkeypatch.setattr(api, "execute", lost)
+    with pytest.raises(errors.WorkersLostError, match=r'memory.* script needs if __name__ == "__m'):
+        can_rig.campaign("losses", runs=2, workers=2)
+
+
 def test_numbers_of_numpy_and_lists_of_names_are_taken_as_such(run: RecordedRun) -> None:
     log, dbc = run.folder / LOG, STEERING
     some: Any = {"from_s": np.float32(0.2), "messages": (name for name in ["DSTAR_FEEDBACK"])}
