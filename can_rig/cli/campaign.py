@@ -1,11 +1,15 @@
 """``can-rig campaign``: thousands of runs, a table, a report."""
 
 import os
+import signal
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from types import FrameType
+from typing import Final
 
 import click
 from rich.table import Table
@@ -20,6 +24,9 @@ from can_rig.cli.options import json_option, set_option
 from can_rig.cli.output import counting, json_line, say, show_beside, table, wide
 from can_rig.errors import INTERRUPTED, WorkersLostError
 from can_rig.nodes.bus_access import StopRequest
+
+TWICE_S: Final = 0.5
+"""A second signal within this time is the same Ctrl-C: terminal and wrapper may both send one."""
 
 
 @click.command("campaign")
@@ -73,7 +80,7 @@ def command(
     CAMPAIGN is a TOML file or a shipped one: cars, double-faults, faults, hours, latency, losses,
     restarts, weather. Every run becomes a row of runs.parquet with the command that repeats the
     run; report.html gives the pass rate of each requirement, the worst runs, the campaign's tables,
-    and the influence of each axis. Ctrl-C keeps completed runs.
+    and the influence of each axis. Ctrl-C keeps completed runs, and once more waits for no run.
     """
     if resume and (out is None or force):
         raise click.UsageError("--resume: must come with --out, and not with --force")
@@ -84,6 +91,7 @@ def command(
     folder = open_folder(out, planned, resume=resume, force=force)
     click.get_current_context().call_on_close(folder.made.close)
     stop = StopRequest().on_signals()
+    _end_at_the_second_ctrl_c(stop)
     cores = min(workers or len(os.sched_getaffinity(0)), planned.runs)
     with counting(planned.settings.name, "runs", planned.runs) as on_done, _told(folder):
         whole = execute(folder, computing(planned, cores, scheduler), lambda: stop.wanted, on_done)
@@ -101,6 +109,20 @@ def command(
     else:
         _print(summary, folder)
     sys.exit(0 if summary.passed else 1)
+
+
+def _end_at_the_second_ctrl_c(stop: StopRequest) -> None:
+    """The first Ctrl-C waits for the runs under way, of which a user's class may never end."""
+    first_s: list[float] = []
+
+    def want(_signal: int, _frame: FrameType | None) -> None:
+        if first_s and time.monotonic() - first_s[0] > TWICE_S:
+            os._exit(INTERRUPTED)  # whole blocks stay; workers end with this process
+        first_s[:] = first_s or [time.monotonic()]
+        stop.wanted = True
+
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # nohup
+        signal.signal(signal.SIGINT, want)
 
 
 def computing(

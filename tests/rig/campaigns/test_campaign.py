@@ -26,10 +26,11 @@ from can_rig.campaigns.plan import plan
 from can_rig.campaigns.rows import METRICS, TRUTHS, Task, run_rows
 from can_rig.campaigns.settings import campaign_of
 from can_rig.campaigns.workers import DEATHS, deaths_after, serially, versions
-from can_rig.errors import RigError, RunFolderError, ScenarioError, WorkersLostError
+from can_rig.errors import INTERRUPTED, RigError, RunFolderError, ScenarioError, WorkersLostError
 from can_rig.results.metrics import Metrics, metrics_of
 from can_rig.scenario.settings import Scenario
 from tests.helpers import asked, succeeded
+from tests.processes import wait_for
 from tests.rig.campaigns.running import SHORT, in_two_processes, planned, ran, rows
 
 FAR_CLUSTER = """
@@ -174,6 +175,37 @@ def test_ctrl_c_reaches_no_worker_and_no_fork_server_from_the_start_on(tmp_path)
     assert len(deaf) > 1
     assert all(deaf)
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+ENDLESS = """
+from pathlib import Path
+
+def endless(inputs):
+    Path("begun").touch()
+    while True:
+        pass
+"""
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_the_second_ctrl_c_waits_for_no_run(workers, tmp_path):
+    (tmp_path / "own.py").write_text(ENDLESS)
+    file = written(tmp_path, settings={**SHORT["settings"], "controller.kind": "own:endless"})
+    started = subprocess.Popen(
+        [sys.executable, "-m", "can_rig", "campaign", file, "--workers", str(workers),
+         "--out", "out"], cwd=tmp_path,
+    )  # fmt: skip
+    try:
+        wait_for((tmp_path / "begun").exists)
+        some = psutil.Process(started.pid).children(recursive=True)
+        started.send_signal(signal.SIGINT)
+        with pytest.raises(subprocess.TimeoutExpired):
+            started.wait(1.0)
+        started.send_signal(signal.SIGINT)
+        assert started.wait(60.0) == INTERRUPTED
+        assert not psutil.wait_procs(some, 60.0)[1]
+    finally:
+        started.kill()
 
 
 def test_workers_that_always_die_end_it_in_a_line(tmp_path, monkeypatch):
