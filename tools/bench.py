@@ -89,9 +89,9 @@ def parts(scenario: Scenario, network: Network, folder: Path) -> list[tuple[str,
     with (
         open_for_node(name, (), False) as plant_bus,
         open_for_node(name, (), False) as controller_bus,
-        Recorder(folder / "parts.log", scenario.tick_ns) as recorder,
+        Recorder(folder / "parts.log") as recorder,
     ):
-        plant = bursts(plant_bus, offers, answers, recorder.lines)
+        plant = bursts(plant_bus, offers, answers, recorder)
         controller = bursts(controller_bus, answers, offers, None)
         exchange(plant, controller, recorder, 0)
         ticks = itertools.count(1)
@@ -131,7 +131,8 @@ def bursts(
 
 def exchange(plant: Any, controller: Any, recorder: Recorder, tick: int) -> None:
     """The frames of a tick both ways, and their lines in the log."""
-    recorder.begin_tick(tick)
+    recorder.flush()
+    recorder.at(tick * 1_000_000)
     for (sender, *_), (reader, receivers, bus) in ((plant, controller), (controller, plant)):
         sender.send(tick, (1.0, 2.0, 3.0))
         if reader.receive(tick) is None:

@@ -20,7 +20,7 @@ from can_rig.frames.codec import MessageCodec, Receiver, Record, Transmitter, ti
 from can_rig.frames.network import Network
 from can_rig.nodes.bursts import Bursts
 from can_rig.nodes.bus_access import PersistentSender, Send
-from can_rig.nodes.recording import CandumpLines, PlantRecorder, RealTimeRecorder, Recorder
+from can_rig.nodes.recording import PlantRecorder, Recorder
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.plant.witnesses import SensorFrames, hearing_of
@@ -39,7 +39,7 @@ def bursts_of(
     receivers: Sequence[Receiver],
     healthy: bool,
     local: LocalBus | None,
-    lines: CandumpLines | None = None,
+    lines: Recorder | None = None,
 ) -> Bursts | None:
     """Access to the frames as bursts, where bus, network and sender allow bursts.
 
@@ -73,7 +73,7 @@ class PlantEnd:
         log: gets every sent frame; None records nothing.
         reports: gets the plant's report of every tick; None records nothing.
         changing: whether the faults may change during the run.
-        local: the bus behind ``send`` and the log's lines, for frames as bursts.
+        local: the bus behind ``send``, for frames as bursts; None: frame by frame.
 
     Raises:
         ScenarioError: a reference beyond the range of its frame, an invalid plant.
@@ -84,10 +84,10 @@ class PlantEnd:
         scenario: Scenario,
         network: Network,
         send: Send,
-        log: Recorder | RealTimeRecorder | None,
+        log: Recorder | None,
         reports: PlantRecorder | None = None,
         changing: bool = False,
-        local: tuple[LocalBus | None, CandumpLines | None] = (None, None),
+        local: LocalBus | None = None,
     ) -> None:
         self.plant: Final = SimulatedPlant(scenario, changing, network)
         self.reference_offset = 0.0
@@ -117,7 +117,8 @@ class PlantEnd:
             network.inputs,
             self._receivers,
             not self._faults.concerns(SENSOR_PLACE),
-            *local,
+            local,
+            log,
         )
         """Access to the frames as bursts; None: frame by frame."""
 

@@ -82,17 +82,12 @@ class PlantNode:
     ) -> None:
         require_ticks(scenario, network)
         self.ticks: Final = scenario.ticks
+        self._tick_ns = scenario.tick_ns
         self._outages = deque(scenario.outages)
         self._recorder = recorder
         self._others_send = False
         self._end = PlantEnd(
-            scenario,
-            network,
-            send,
-            recorder,
-            reports,
-            interaction.injectable,
-            (local, recorder.lines if recorder else None),
+            scenario, network, send, recorder, reports, interaction.injectable, local
         )
         self._control = RunControl(interaction, scenario, self._end, send, clock)
 
@@ -123,7 +118,9 @@ class PlantNode:
     def offer(self, tick: int) -> None:
         """Start ``tick``: sample D*, send the reference and the feedback."""
         if self._recorder is not None:
-            self._recorder.begin_tick(tick)
+            # So a killed process leaves every tick that it finished.
+            self._recorder.flush()
+            self._recorder.at(tick * self._tick_ns)
         self._end.sample(tick)
         self._end.send_sample()
 

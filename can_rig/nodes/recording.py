@@ -123,9 +123,9 @@ class CandumpLines:
         self.time_us = 0
         """The next frame's time."""
 
-    def at(self, time_us: int) -> None:
+    def at(self, time_ns: int) -> None:
         """The next frame's time, unless an earlier frame was later; the others follow by 1 µs."""
-        self.time_us = max(self.time_us, time_us)
+        self.time_us = max(self.time_us, time_ns // 1000)
 
     def record(self, message: can.Message, sent: bool) -> None:
         """Note one frame, ``sent`` by this node or received."""
@@ -158,35 +158,32 @@ class CandumpLines:
         return lines
 
 
-class Recorder:
-    """Writes candump lines in virtual time: the n-th frame of tick k at k·T + n µs.
+class Recorder(CandumpLines):
+    """Writes candump lines into a file of the given kind.
 
-    Time never goes back: where others flood the bus, a tick may start in the log later than k·T.
-
-    A tick's lines reach the operating system when the next one begins, so a killed process leaves
-    every tick that it finished.
+    Virtual time has the n-th frame of tick k at k·T + n µs; real time counts from the start of the
+    run. Time never goes back: where others flood the bus, a tick may start in the log later than
+    k·T.
 
     Raises:
         RunFolderError: the file cannot be opened or written.
     """
 
-    def __init__(self, path: Path, tick_ns: int) -> None:
-        self._tick_ns = tick_ns
-        self._file = LogFile(path)
-        self.lines = CandumpLines()
-        self.record = self.lines.record
+    def __init__(self, path: Path, kind: type[LogFile] = LogFile) -> None:
+        super().__init__()
+        self._file = kind(path)
 
-    def begin_tick(self, tick: int) -> None:
-        """Put the previous tick on disk; the next frame is the first of ``tick``."""
-        self._file.write(self.lines.take())
-        self.lines.at(tick * self._tick_ns // 1000)
+    def flush(self) -> None:
+        """Write the recorded lines; raises as ``write`` of the file does."""
+        if lines := self.take():
+            self._file.write(lines)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         try:
-            self._file.write(self.lines.take())
+            self.flush()
         finally:
             self._file.close()
 
@@ -336,39 +333,6 @@ class PlantRecorder:
 
     def __exit__(self, *_: object) -> None:
         with suppress(RunFolderError):  # the log has said that a disk is full
-            self._file.close()
-
-
-class RealTimeRecorder:
-    """Writes candump lines with the time since the start of the run.
-
-    ``at`` sets the time of the next frame, sent or read. ``flush`` writes all recorded lines.
-
-    Raises:
-        RunFolderError: the file cannot be opened or written.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._file = LaterFile(path)
-        self._lines = CandumpLines()
-        self.record = self._lines.record
-
-    def at(self, time_ns: int) -> None:
-        """Set the next frame's time since the start; times never decrease."""
-        self._lines.at(time_ns // 1000)
-
-    def flush(self) -> None:
-        """Write the recorded lines; raises as ``LaterFile.write`` does."""
-        if lines := self._lines.take():
-            self._file.write(lines)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        try:
-            self.flush()
-        finally:
             self._file.close()
 
 

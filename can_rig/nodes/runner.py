@@ -39,14 +39,7 @@ from can_rig.nodes.lockstep import (
 from can_rig.nodes.operating import OperatedBus
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
-from can_rig.nodes.recording import (
-    LaterFile,
-    LogFile,
-    PlantRecorder,
-    RealTimeRecorder,
-    Recorder,
-    is_stream,
-)
+from can_rig.nodes.recording import LaterFile, LogFile, PlantRecorder, Recorder, is_stream
 from can_rig.nodes.scheduling import preferred, undisturbed
 from can_rig.nodes.ticks import NodeSummary, timed
 from can_rig.scenario.build import network_of
@@ -113,18 +106,15 @@ def run_plant(
         ExitStack() as stack,
     ):
         access = _access(opened, options)
-        recorder, live, reports = None, None, None
+        recorder, reports = None, None
         if log is not None:
-            if options.real_time:
-                live = stack.enter_context(RealTimeRecorder(log))
-            else:
-                recorder = stack.enter_context(Recorder(log, scenario.tick_ns))
+            kind = LaterFile if options.real_time else LogFile
+            recorder = stack.enter_context(Recorder(log, kind))
             if not is_stream(log):
-                kind = LaterFile if options.real_time else LogFile
                 reports = stack.enter_context(PlantRecorder(log, kind))
         node: PlantNode | RealTimePlantNode
         if options.real_time:
-            node = RealTimePlantNode(scenario, network, access.bus, live, SYSTEM_CLOCK, reports)
+            node = RealTimePlantNode(scenario, network, access.bus, recorder, SYSTEM_CLOCK, reports)
         else:
             node = PlantNode(
                 scenario, network, access.send, recorder, reports, options.interaction,
@@ -208,7 +198,7 @@ def run_in_process(
     with (
         _open(bus_name, scenario, "plant", True, options) as plant_bus,
         _open(bus_name, scenario, "controller", False, RunOptions()) as controller_bus,
-        Recorder(log, scenario.tick_ns) as recorder,
+        Recorder(log) as recorder,
         PlantRecorder(log) as reports,
         ExitStack() as stack,
     ):

@@ -28,7 +28,7 @@ from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import NS_PER_S, Clock, Interrupted, NodeBus, Watchdog
 from can_rig.nodes.ends import COMMANDS, PlantEnd
 from can_rig.nodes.realtime.timing import CATCH_UP_TICKS, Schedule, Timing, require_causal
-from can_rig.nodes.recording import PlantRecorder, RealTimeRecorder
+from can_rig.nodes.recording import PlantRecorder, Recorder
 from can_rig.scenario.settings import Scenario
 
 GUARD_NS: Final = 100_000
@@ -58,7 +58,7 @@ class RealTimePlantNode:
         scenario: Scenario,
         network: Network,
         bus: NodeBus,
-        recorder: RealTimeRecorder | None,
+        recorder: Recorder | None,
         clock: Clock,
         reports: PlantRecorder | None = None,
     ) -> None:

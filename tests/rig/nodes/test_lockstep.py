@@ -265,12 +265,13 @@ def test_frames_without_a_tick_are_refused():
         PlantNode(SCENARIO, network, lambda message: None)
 
 
-def test_each_tick_begins_in_the_log_at_its_own_time(tmp_path):
+def test_each_tick_begins_in_the_log_at_its_own_time_and_is_on_disk_when_the_next_begins(tmp_path):
     path = tmp_path / "a.log"
-    with Recorder(path, SCENARIO.tick_ns) as recorder:
+    with Recorder(path) as recorder:
         node = PlantNode(SCENARIO, NETWORK, lambda message: None, recorder)
-        for tick in (0, 1, 7):
+        for done, tick in enumerate((0, 1, 7)):
             node.offer(tick)
+            assert path.read_text().count("\n") == done * len(OFFER)
     times_us = [int(line[1:9].replace(".", "")) for line in path.read_text().splitlines()]
     assert times_us == [0, 1, 1000, 1001, 7000, 7001]
 
@@ -302,7 +303,7 @@ UNREAD_S = 10.0  # and no longer, whatever the time stamps say
 def rest_of(path: Path, stamps_s: list[float], error: bool = False) -> tuple[int, float]:
     """How many of the frames that were waiting are in the log, and how long that took [s]."""
     clock = TurnedClock(5_000_000_000)
-    with Recorder(path, SCENARIO.tick_ns) as recorder:
+    with Recorder(path) as recorder:
         node = PlantNode(SCENARIO, NETWORK, lambda message: None, recorder)
         node.offer(0)
         node.record_the_rest(Late(clock, stamps_s, error), clock)
@@ -340,7 +341,7 @@ def test_a_quiet_or_a_failing_bus_ends_the_wait(tmp_path):
 def test_among_others_the_wait_is_longer(tmp_path):
     """Before the end one of them sent, so a frame of the run may still wait to be sent."""
     clock = TurnedClock(5_000_000_000)
-    with Recorder(tmp_path / "a.log", SCENARIO.tick_ns) as recorder:
+    with Recorder(tmp_path / "a.log") as recorder:
         node = after_a_tick_among_others(recorder)
         node.record_the_rest(Late(clock, []), clock)
     assert clock.now_s - 5.0 == pytest.approx(QUIET_AMONG_OTHERS_S)
@@ -361,7 +362,7 @@ def test_without_a_log_nothing_is_read():
 def test_every_frame_of_a_tick_is_in_the_log_with_who_sent_it(tmp_path):
     """Foreign frames too, useless to the rig."""
     path = tmp_path / "a.log"
-    with Recorder(path, SCENARIO.tick_ns) as recorder:
+    with Recorder(path) as recorder:
         after_a_tick_among_others(recorder)
     words = [line.split() for line in path.read_text().splitlines()]
     sent = [(frame.partition("#")[0], by) for _, _, frame, by in words]

@@ -92,7 +92,7 @@ def test_intact_frames_of_another_tick_before_the_run_are_not_its_beginning(forg
         controller = ControllerNode(scenario, network, controller_bus.send, PYTHON)
         to_plant = Watchdog(plant_bus, "controller", Timeouts(1, 1), StopRequest())
         to_controller = Watchdog(controller_bus, "plant", Timeouts(1, 1), StopRequest())
-        with Recorder(log, scenario.tick_ns) as recorder:
+        with Recorder(log) as recorder:
             plant = PlantNode(scenario, network, plant_bus.send, recorder)
             for tick in range(scenario.ticks):
                 plant.offer(tick)

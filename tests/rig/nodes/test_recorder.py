@@ -1,4 +1,4 @@
-"""``bus.log``: candump lines in virtual time, on disk tick by tick, for every kind of frame."""
+"""``bus.log``: candump lines in virtual time, for every kind of frame."""
 
 import itertools
 import re
@@ -12,7 +12,7 @@ from hypothesis import given, strategies as st
 from can_rig.errors import RunFolderError
 from can_rig.nodes.bus_access import Pace
 from can_rig.nodes.realtime.timing import Histogram, Timing
-from can_rig.nodes.recording import RealTimeRecorder, Recorder
+from can_rig.nodes.recording import LaterFile, Recorder
 from tests.clock import TurnedClock
 from tests.rig.nodes.world import TICK_NS
 
@@ -24,9 +24,9 @@ def frame(number, **kwargs):
 
 def write(path, tick_ns, ticks):
     """A log of ``ticks``, each a list of (frame, sent)."""
-    with Recorder(path, tick_ns) as recorder:
+    with Recorder(path) as recorder:
         for tick, frames in enumerate(ticks):
-            recorder.begin_tick(tick)
+            recorder.at(tick * tick_ns)
             for message, sent in frames:
                 recorder.record(message, sent)
     return path.read_text()
@@ -50,8 +50,8 @@ def test_times_are_exact_decimals_however_long_the_run(tick, tick_us):
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bus.log"
-        with Recorder(path, tick_us * 1000) as recorder:
-            recorder.begin_tick(tick)
+        with Recorder(path) as recorder:
+            recorder.at(tick * tick_us * 1000)
             recorder.record(frame(0), sent=True)
             recorder.record(frame(1), sent=True)
         times = re.findall(r"^\((\d+)\.(\d{6})\)", path.read_text(), re.MULTILINE)
@@ -76,17 +76,6 @@ def test_python_can_reads_back_every_kind_of_frame(kwargs, sent, tmp_path):
     assert back.equals(message, timestamp_delta=None, check_channel=False, check_direction=False)
     assert back.timestamp == pytest.approx(0.001)
     assert (back.channel, back.is_rx) == ("vcan0", not sent)
-
-
-def test_a_tick_is_on_disk_when_the_next_begins_and_all_of_it_at_the_end(tmp_path):
-    path = tmp_path / "bus.log"
-    with Recorder(path, 1_000_000) as recorder:
-        for tick in range(50):
-            recorder.begin_tick(tick)
-            assert len(path.read_text().splitlines()) == 5 * tick
-            for n in range(5):
-                recorder.record(frame(n), sent=True)
-    assert len(path.read_text().splitlines()) == 250
 
 
 @given(
@@ -130,7 +119,7 @@ def test_no_wake_up_has_no_period():
 
 def test_the_thread_writes_every_line_in_order_with_time_that_never_goes_back(tmp_path):
     log = tmp_path / "bus.log"
-    with RealTimeRecorder(log) as recorder:
+    with Recorder(log, LaterFile) as recorder:
         for tick in range(2000):
             recorder.at(tick * 900 - 5000 * (tick % 2))
             recorder.record(can.Message(arbitration_id=tick, is_extended_id=False), sent=True)
@@ -143,7 +132,7 @@ def test_the_thread_writes_every_line_in_order_with_time_that_never_goes_back(tm
 
 def test_a_disk_that_is_full_is_one_line(tmp_path):
     failure = pytest.raises(RunFolderError, match="cannot be written")
-    with failure, RealTimeRecorder(Path("/dev/full")) as full:
+    with failure, Recorder(Path("/dev/full"), LaterFile) as full:
         full.record(can.Message(arbitration_id=1, is_extended_id=False), sent=True)
         full.flush()
 

@@ -15,7 +15,7 @@ from can_rig.controllers.protocol import InNode
 from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
-from can_rig.nodes.recording import RealTimeRecorder
+from can_rig.nodes.recording import LaterFile, Recorder
 from can_rig.nodes.ticks import drive
 from can_rig.scenario.build import network_of
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
@@ -135,7 +135,7 @@ class World:
             return None
 
     def run(self, log=None, on_tick=lambda tick: None, waiting=PATIENT, stop=None):
-        recorder = RealTimeRecorder(log) if log else None
+        recorder = Recorder(log, LaterFile) if log else None
         plant = RealTimePlantNode(self.scenario, self.network, self, recorder, self)
         watchdog = Watchdog(self, "controller", waiting, stop or StopRequest())
         try:
