@@ -44,10 +44,9 @@ class Program:
         self.closed += 1
 
 
-def node_of(*settings: str) -> tuple[EcuNode, Program, list[can.Message]]:
-    scenario = load("default", [f"duration_s={TICKS * 1e-3}", "fault.kind=none", *settings])
+def node_of() -> tuple[EcuNode, Program, list[can.Message]]:
     program, sent = Program(), list[can.Message]()
-    return EcuNode(scenario, NETWORK, sent.append, program), program, sent
+    return EcuNode(HEALTHY, NETWORK, sent.append, program), program, sent
 
 
 def frame(number: int = FEEDBACK, **kind: Any) -> can.Message:
@@ -79,33 +78,6 @@ def test_other_frames_do_not_reach_it(other):
     assert node.take(other) is False
     assert program.taken == sent == []
     assert node.tick == 0
-
-
-@pytest.mark.parametrize("channel", [0, 1])
-def test_scheduled_faults_reach_the_frames_of_their_channel_and_ticks(channel):
-    name = ("torque", "force-difference")[channel]
-    node, _, sent = node_of(
-        "fault.kind=frames-missing", "fault.at_s=0.003", "fault.for_s=0.002",
-        f"fault.channel={name}",
-    )  # fmt: skip
-    numbers = []
-    for _ in range(7):
-        sent.clear()
-        node.take(frame())
-        numbers.append([m.arbitration_id for m in sent])
-    whole = [*COMMANDS, 0x123]
-    lost = [n for n in whole if n != COMMANDS[channel]]
-    assert numbers == [whole, whole, whole, lost, lost, whole, whole]
-
-
-def test_a_corrupted_frame_has_one_other_byte():
-    node, _, sent = node_of("fault.kind=frames-corrupted", "fault.at_s=0")
-    node.take(frame())
-    differing = [
-        sum(a != b for a, b in zip(m.data, data, strict=True))
-        for m, (_, data) in zip(sent, ANSWER, strict=True)
-    ]
-    assert differing == [1, 0, 0]
 
 
 def test_rejected_frames_are_of_the_reference_then_of_the_feedback():

@@ -54,6 +54,9 @@ CASES = [
     ("chassis-can", ["duration_s=3", "fault.at_s=1.5", "design.precision=float32"]),
     ("default", [*SHORT, "plant.torque_actuator.dead_time_s=0.0015", "latency_ticks=2",
                  "plant.torque_actuator.limit_nm=50", "plant.sensor.dead_time_s=0.0012"]),
+    ("default", [*SHORT, "plant.kind=tests.rig.plant.linear:LinearPlant", "fault.left=0.5",
+                 "plant.torque_actuator.dead_time_s=0.0015", "plant.torque_actuator.lag_s=0",
+                 "plant.force_difference_actuator.dead_time_s=0.0025", "tick_s=0.0007"]),
     ("thesis-step", ["tick_s=0.0004", "duration_s=2e-3", "fault.kind=none"]),
     ("ideal", ["duration_s=0.001", "fault.kind=none"]),
 ]  # fmt: skip
