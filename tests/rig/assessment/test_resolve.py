@@ -2,11 +2,8 @@
 
 import json
 
-import pytest
-
 from can_rig.assessment.bus_timing import latency_ticks
 from can_rig.assessment.resolve import load, load_run, resolve
-from can_rig.errors import ScenarioError
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import draft, read
 
@@ -43,17 +40,3 @@ def test_a_run_folder_holds_numbers_and_a_word_may_change_them_again():
     assert load_run(recorded) == found
     late = load("thesis-step", ["latency_ticks=5"]).as_dict()
     assert load_run(late, ["latency_ticks=from-bus"]).latency_ticks == 1
-
-
-@pytest.mark.parametrize(
-    ("setting", "line"),
-    [
-        ("latency_ticks=from-budget", "latency_ticks = 'from-budget': must be a valid integer"),
-        ("seed=from-bus", "seed = 'from-bus': must be a valid integer"),
-        ("design.tau_s=from-bus", "must be a valid number"),
-        ("model.latency_ticks=from-bus", "unknown key"),
-    ],
-)
-def test_a_word_stands_for_its_own_number_alone(setting, line):
-    with pytest.raises(ScenarioError, match=line):
-        load("thesis-step", [setting])

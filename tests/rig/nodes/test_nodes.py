@@ -55,21 +55,28 @@ def test_a_tick_is_five_frames_in_one_order_and_its_number_is_on_each(tmp_path):
     assert all(not counts for counts in summary.rejected_frames.values())
 
 
-def test_the_tick_counts_on_where_its_sixteen_bits_wrap():
-    """The nodes take up a run just before 65536 and go on past it."""
-    scenario = load("thesis-step", ["duration_s=65.6"])
+def in_turns(scenario, ticks, recorder=None, earlier=()):
+    """Both nodes on a bus with ``earlier`` frames; of each message, the rejected frames."""
     network = network_of(scenario)
-    with open_bus("virtual:wrap") as plant_bus, open_bus("virtual:wrap") as controller_bus:
-        plant = PlantNode(scenario, network, plant_bus.send)
+    with open_bus("virtual:turns") as plant_bus, open_bus("virtual:turns") as controller_bus:
+        with open_bus("virtual:turns") as intruder:
+            for message in earlier:
+                intruder.send(message)
+        plant = PlantNode(scenario, network, plant_bus.send, recorder)
         controller = ControllerNode(scenario, network, controller_bus.send, PYTHON)
         to_plant = Watchdog(plant_bus, "controller", Timeouts(1, 1), StopRequest())
         to_controller = Watchdog(controller_bus, "plant", Timeouts(1, 1), StopRequest())
-        for tick in range(65_530, 65_545):
+        for tick in ticks:
             plant.offer(tick)
             controller.serve(to_controller)
             plant.collect(tick, to_plant)
-    for counts in (plant.rejected() | controller.rejected()).values():
-        assert not counts
+    return plant.rejected() | controller.rejected()
+
+
+def test_the_tick_counts_on_where_its_sixteen_bits_wrap():
+    """The nodes take up a run just before 65536 and go on past it."""
+    scenario = load("thesis-step", ["duration_s=65.6"])
+    assert not any(in_turns(scenario, range(65_530, 65_545)).values())
 
 
 # --- what a frame of someone else does ---------------------------------------------------------
@@ -84,20 +91,9 @@ def test_intact_frames_of_another_tick_before_the_run_are_not_its_beginning(forg
         "reference": Transmitter(network.reference).frame(1.0, 999),
         "feedback": Transmitter(network.feedback).frame(1.0, 555),
     }
-    with open_bus("virtual:forged") as plant_bus, open_bus("virtual:forged") as controller_bus:
-        with open_bus("virtual:forged") as intruder:
-            for name, message in frames.items():
-                if forged in {name, "both"}:
-                    intruder.send(message)
-        controller = ControllerNode(scenario, network, controller_bus.send, PYTHON)
-        to_plant = Watchdog(plant_bus, "controller", Timeouts(1, 1), StopRequest())
-        to_controller = Watchdog(controller_bus, "plant", Timeouts(1, 1), StopRequest())
-        with Recorder(log) as recorder:
-            plant = PlantNode(scenario, network, plant_bus.send, recorder)
-            for tick in range(scenario.ticks):
-                plant.offer(tick)
-                controller.serve(to_controller)
-                plant.collect(tick, to_plant)
+    sent = [message for name, message in frames.items() if forged in {name, "both"}]
+    with Recorder(log) as recorder:
+        in_turns(scenario, range(scenario.ticks), recorder, sent)
     quiet = record(tmp_path, "duration_s=0.05")[0]
     forgeries = {f"{m.arbitration_id:03X}#{m.data.hex().upper()}" for m in frames.values()}
     seen = [line.split()[2:] for line in log.read_text().splitlines()]

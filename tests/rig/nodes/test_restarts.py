@@ -178,18 +178,6 @@ def test_a_verdict_after_a_restart_in_a_bend_is_a_false_alarm():
     assert found["missed_detection"] is None
 
 
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [(["fault.kind=controller-restarted"], "fault.for_s: must be set for 'controller-restarted'"),
-     (["fault.kind=controller-restarted", "fault.for_s=1", "fault.every=2"],
-      "every = 2: must be 1 for 'controller-restarted'")],
-)  # fmt: skip
-def test_an_impossible_restart_is_refused(settings, said):
-    with pytest.raises(ScenarioError, match="restarted") as refused:
-        load("default", settings)
-    assert said.removeprefix("fault.") in str(refused.value)
-
-
 def test_real_time_refuses_a_restart():
     with pytest.raises(ScenarioError, match="must be in lockstep"):
         require_causal(CASES["short"])

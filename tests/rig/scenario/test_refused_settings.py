@@ -38,7 +38,8 @@ VALUES = {
     "reference.frequency_rad_per_s": "0", "fault.kind": "dead", "fault.channel": "rear",
     "fault.at_s": "-1", "fault.for_s": "0 none", "fault.left": "-0.1 nan",
     "plant.sensor.noise_mps2": "-0.1", "limits.torque_nm": "0", "limits.force_difference_n": "-5",
-    "actuator.hold_s": "-1", "bus.compute_s": "-1 1e9",
+    "actuator.hold_s": "-1", "bus.compute_s": "-1 1e9 nan", "bus.bitrate": "8e6 1000001",
+    "bus": "5",
 }  # fmt: skip
 """By key, values that are refused in a line with the key."""
 PARTS = {
@@ -57,6 +58,10 @@ PARTS = {
     "fault.at_s=1e300": "fault.at_s = 1e+300: must be at most 1000000",
     "fault.for_s=1e300": "fault.for_s = 1e+300: must be at most 1000000",
     "actuator.hold_s=1e307": "actuator.hold_s = 1e+307: must be at most 1000000",
+    "bus.bitrate=0": "bus.bitrate = 0", "bus.baud=1": "bus.baud: unknown key",
+    "latency_ticks=from-budget": "latency_ticks = 'from-budget': must be a valid integer",
+    "seed=from-bus": "seed = 'from-bus': must be a valid integer",
+    "design.tau_s=from-bus": "must be a valid number",
     "seed": "KEY=VALUE", "=5": "KEY=VALUE", "plant.=5": "KEY=VALUE", "": "KEY=VALUE",
     "tick_s.x=5": "tick_s", "plant.mass_kg.x=5": "mass_kg", "name=other": "name: unknown key",
     "fault={at_s=5.0}": "fault.kind: must be set where fault.at_s is",
@@ -87,6 +92,9 @@ DEFAULT = {
     ("limits.blind_s=-1",): "limits.blind_s = -1: must be at least 0",
     ("fault.kind=frames-forged",): "fault.value: must be set for 'frames-forged'",
     ("fault.late_ticks=0",): "fault.late_ticks = 0: must be at least 1",
+    ("fault.kind=controller-restarted",): "fault.for_s: must be set for 'controller-restarted'",
+    ("fault={kind='controller-restarted', for_s=1, every=2}",):
+        "fault.every = 2: must be 1 for 'controller-restarted'",
     ("plant.torque_actuator.lag_s=-0.01",):
         "plant.torque_actuator.lag_s = -0.01: must be at least 0",
     ("model.force_difference_actuator.lag_s=-1",): "model.force_difference_actuator.lag_s",
@@ -114,6 +122,11 @@ DEFAULT = {
     ("plant.parameters.x=1",): "plant.parameters.x = 1: must not be set for kind",
 }  # fmt: skip
 SS = "plant={kind='state-space', "
+SLOW = {
+    "bus.bitrate=500000": '"from-bus": 500000 bit/s', "tick_s=0.0001": '"from-bus": 1000000 bit/s',
+    "tick_s=1 bus.compute_s=63.9995": "latency_ticks = 65",
+}  # fmt: skip
+"""Too slow a bus, beside ``latency_ticks = "from-bus"``."""
 BY_NUMBERS = {
     SS
     + "a=[[-1]], b=[[1, 1]], c=[1], mass_kg=900}": "mass_kg = 900: must not be set for kind = 's",
@@ -148,6 +161,7 @@ REFUSED = [
     *(("thesis-step", (f"{k}={v}",), k) for k, values in VALUES.items() for v in values.split()),
     *(("thesis-step", (given,), part) for given, part in PARTS.items()),
     *(("default", settings, part) for settings, part in DEFAULT.items()),
+    *(("thesis-step", ("latency_ticks=from-bus", *k.split()), part) for k, part in SLOW.items()),
     *(("chapter-2", (given,), part) for given, part in BY_NUMBERS.items()),
 ]
 
