@@ -45,27 +45,24 @@ def angles(rad_per_s: np.ndarray, tick_s: float) -> list[mpmath.mpf]:
     return [mpmath.mpf(float(omega)) * mpmath.mpf(tick_s) for omega in rad_per_s]
 
 
-def tustin_exactly(g: ZeroPoleGain, rad_per_s: np.ndarray, tick_s: float) -> np.ndarray:
-    """G(j(2/T) tan(ωT/2)) from the roots."""
-    with mpmath.workdps(50):
-        warped = [
-            mpmath.mpc(0, 2 / mpmath.mpf(tick_s) * mpmath.tan(angle / 2))
-            for angle in angles(rad_per_s, tick_s)
-        ]
-        return np.array([complex(_value(g, s)) for s in warped])
-
-
-def tustin_exactly_of_coefficients(
-    num: np.ndarray, den: np.ndarray, rad_per_s: np.ndarray, tick_s: float
+def tustin_exactly(
+    system: ZeroPoleGain | tuple[np.ndarray, np.ndarray], rad_per_s: np.ndarray, tick_s: float
 ) -> np.ndarray:
-    """The same from num(s)/den(s)."""
+    """G(j(2/T) tan(ωT/2)) from the roots, or from num(s)/den(s)."""
     with mpmath.workdps(50):
-        above, below = ([mpmath.mpf(float(k)) for k in row] for row in (num, den))
         warped = [
             mpmath.mpc(0, 2 / mpmath.mpf(tick_s) * mpmath.tan(angle / 2))
             for angle in angles(rad_per_s, tick_s)
         ]
-        return np.array([complex(_horner(above, s) / _horner(below, s)) for s in warped])
+        if isinstance(system, ZeroPoleGain):
+            return np.array([complex(_value(system, s)) for s in warped])
+        num, den = (row[::-1].tolist() for row in system)
+        return np.array(
+            [
+                complex(mpmath.polyval(num, s, asc=True) / mpmath.polyval(den, s, asc=True))
+                for s in warped
+            ]
+        )
 
 
 def zoh_exactly(g: ZeroPoleGain, rad_per_s: np.ndarray, tick_s: float) -> np.ndarray:
@@ -96,11 +93,4 @@ def _value(g: ZeroPoleGain, s: mpmath.mpc) -> mpmath.mpc:
         value *= s - mpmath.mpc(zero)
     for pole in g.poles:
         value /= s - mpmath.mpc(pole)
-    return value
-
-
-def _horner(coefficients: list[mpmath.mpf], s: mpmath.mpc) -> mpmath.mpc:
-    value = mpmath.mpf(0)
-    for coefficient in coefficients:
-        value = value * s + coefficient
     return value
