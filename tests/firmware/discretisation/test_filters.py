@@ -170,12 +170,6 @@ def test_all_sections_have_gains_of_the_same_size(second, num):
     assert max(peaks) / min(peaks) < 8.0
 
 
-def test_its_c_says_what_it_is():
-    made = discretise(BUTTERWORTH, TICK_S)
-    first = made.to_c()["filter.h"].splitlines()[0]
-    assert first == f"/* {str(made).removeprefix('<').removesuffix('>')}"
-
-
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "a tick of zero": ({"tick_s": 0.0}, "tick_s = 0: must be finite and above 0"),
     "several rates": ({"tick_s": [0.001, 0.01]}, "tick_s = .*must be one number of seconds"),

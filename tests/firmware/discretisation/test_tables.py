@@ -87,12 +87,6 @@ def test_the_table_is_constant():
         build(DESIGN, Target(1e-3)).actuator_1.limit = 1.0
 
 
-@pytest.mark.parametrize("tick_s", [0.0, math.nan])
-def test_a_tick_that_is_no_tick_is_refused(tick_s):
-    with pytest.raises(ParameterError, match="tick_s"):
-        build(DESIGN, Target(tick_s))
-
-
 CLOSED = design(steer_by_wire(), DesignSpecification())
 OTHERS = other_cars()
 
