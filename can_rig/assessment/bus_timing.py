@@ -268,13 +268,10 @@ def network_timing(
         compute_s: most time from the arrival of D* until the controller queues its answer [s].
     """
     tick, compute = exact(tick_s), exact(compute_s)
-    further = {codec.frame_id: codec for codec in network.witnesses}  # one of each message
-    periods = {
-        codec.frame_id: period
-        for codec, period in zip(network.witnesses, network.periods, strict=True)
-    }
+    sensors = zip(network.witnesses, network.periods, strict=True)
+    further = {codec.frame_id: (codec, tick * period) for codec, period in sensors}  # by message
     inputs = [_of_tick(codec, tick) for codec in network.inputs]
-    plant = inputs + [_of_tick(codec, tick * periods[at]) for at, codec in further.items()]
+    plant = inputs + [_of_tick(*each) for each in further.values()]
     commands = [_of_tick(codec, tick) for codec in (network.command_1, network.command_2)]
     answers = [*commands, _of_tick(network.status, tick)]
     frames = _outranked(_apart(plant, answers, bitrate, compute), inputs, plant, answers)

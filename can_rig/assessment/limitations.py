@@ -43,7 +43,7 @@ from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.reference import reference
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.sampled_plant import SampledPlant, sample
+from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, sample
 from firmware_model.compiled import compiled
 from firmware_model.design.factors import Limitations, limitations, unstable
 from firmware_model.design.zpk import Roots, ZeroPoleGain
@@ -131,11 +131,8 @@ def _listed(roots: Roots) -> str:
 
 def without_roots(found: Limitations) -> dict[str, float]:
     """The bounds for JSON, without the roots, because JSON has no complex numbers."""
-    return {
-        "sensitivity": found.sensitivity,
-        "complementary": found.complementary,
-        "halving_rad_per_s": found.halving_rad_per_s,
-    }
+    values = asdict(found)
+    return {key: value for key, value in values.items() if key not in {"zeros", "poles"}}
 
 
 @dataclass(frozen=True)
@@ -240,11 +237,11 @@ def unavoidable(
     """
     tick_s, fault = scenario.tick_s, fault or scenario.loss
     plant = _immediate(scenario.plant, tick_s)
-    gamma = plant.gamma[:, CHANNELS.index(fault.place)] * (fault.left - 1.0)
+    lost = np.zeros(2)
+    lost[CHANNELS.index(fault.place)] = fault.left - 1.0
+    gamma, sent = plant.gamma * lost, np.nan_to_num(commands)
     pole, needed = _needed(scenario)
-    found, largest = _found(
-        plant.phi, gamma, plant.c, np.nan_to_num(commands), pole, needed, scenario.latency_ticks
-    )
+    found, largest = _found(plant.phi, gamma, plant.c, sent, pole, needed, scenario.latency_ticks)
     return Unavoidable(found, largest) if found else None
 
 
@@ -283,18 +280,10 @@ def _found(
     phi: Any, gamma: Any, c: Any, commands: Any, pole: float, needed: float, latency: int
 ) -> tuple[int, float]:
     """The tick of detection, 0: never; the largest |δ| until the reaction."""
-    missing, after = np.zeros(len(phi)), np.zeros(len(phi))
+    missing = np.zeros(len(phi))
     found, largest, shown, before = 0, 0.0, 0.0, 0.0
     for k in range(len(commands)):
-        for i in range(len(phi)):
-            after[i] = gamma[i] * commands[k]
-            for j in range(len(phi)):
-                after[i] += phi[i, j] * missing[j]
-        missing[:] = after
-        now = 0.0
-        for i in range(len(phi)):
-            now += c[i] * missing[i]
-        now = abs(now)
+        now = abs(follow_plant(phi, gamma, c, missing, commands[k], commands[k]))
         largest = max(largest, now)
         shown += (now - pole * before) ** 2
         before = now

@@ -3,12 +3,12 @@
 ``tuning.png`` shows the noise in X_diff against the peak after the loss.
 """
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
 from matplotlib.figure import Figure
 
+from can_rig.assessment.stability import finite_or_null
 from can_rig.assessment.tuning.candidate import MAX_DELAY_TICKS, Tuning, refusals_as_dict
 from can_rig.assessment.tuning.search import EQUAL_PEAKS, Tunings
 from can_rig.drawing import style
@@ -183,18 +183,11 @@ def noise_unit(found: Tunings, command_unit: str) -> str:
 
 
 def _values(tuning: Tuning) -> dict[str, Any]:
-    design, values = tuning.design, vars(tuning).copy()
+    margin, values = tuning.delay_margin_ticks, vars(tuning).copy()
     del values["design"]
-    margin = tuning.delay_margin_ticks
     return {
-        "tau_s": design.tau_s,
-        "alpha": design.alpha,
-        "tau_q_s": design.tau_q_s,
-        "alpha_q": design.alpha_q,
-        **{
-            k: v if not isinstance(v, float) or math.isfinite(v) else None
-            for k, v in values.items()
-        },
+        **{key.removeprefix("design."): value for key, value in tuning.changes.items()},
+        **finite_or_null(values),
         "delay_margin_is_at_least": margin is not None and margin >= MAX_DELAY_TICKS,
         "peak_ratio": tuning.peak_ratio,
     }
