@@ -27,7 +27,7 @@ from can_rig.scenario.settings import Scenario
 from tests.processes import rig, start
 
 __all__ = ["DBC", "NAMES", "asked", "decoded", "on_a_bus", "on_no_bus", "record", "refused",
-           "refuses", "rig", "start", "succeeded"]  # fmt: skip
+           "refuses", "rig", "sets", "start", "succeeded"]  # fmt: skip
 
 DBC = Path(__file__).parents[1] / "dbc"
 NAMES = (
@@ -57,6 +57,11 @@ def refused(*arguments: object) -> str:
     assert done.returncode == 2, done.stderr
     (line,) = done.stderr.splitlines()
     return line
+
+
+def sets(*settings: str) -> list[str]:
+    """The words that give ``settings`` to a command."""
+    return [word for setting in settings for word in ("--set", setting)]
 
 
 @contextmanager

@@ -4,7 +4,6 @@ import dataclasses
 import json
 import math
 import re
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.law.structs import FloatArray
-from tests.helpers import asked, refused, succeeded
+from tests.helpers import asked, refused, sets, succeeded
 
 UNSTABLE = ("tick_s=0.01", "design.estimator=zoh")  # only with the torque dead
 FAST = ("latency_ticks=8", "design.tau_s=0.0001", "design.tau_q_s=0.0001")  # in every state
@@ -40,10 +39,6 @@ def test_the_shipped_scenarios_are_stable_and_run(name):
     assert result.stable
     assert result.verdict.startswith("stable")
     refuse_unstable(scenario)
-
-
-def options(settings: Sequence[str]) -> list[str]:
-    return [word for setting in settings for word in ("--set", setting)]
 
 
 def test_json_has_the_figures_of_both_ends():
@@ -76,7 +71,7 @@ def test_noise_that_hides_every_loss_is_null_in_json():
 
 
 def test_an_unstable_loop_is_exit_status_1_and_still_json():
-    done = asked("check", "thesis-step", *options(UNSTABLE), "--json")
+    done = asked("check", "thesis-step", *sets(*UNSTABLE), "--json")
     assert done.returncode == 1
     values = json.loads(done.stdout, parse_constant=refuse)
     assert values["stable"] is False
@@ -86,7 +81,7 @@ def test_an_unstable_loop_is_exit_status_1_and_still_json():
 
 def test_a_person_sees_one_table_and_one_verdict(monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    done = asked("check", "thesis-step", *options(UNSTABLE))
+    done = asked("check", "thesis-step", *sets(*UNSTABLE))
     lines = done.stdout.splitlines()
     assert done.returncode == 1
     for word in ("healthy", "torque dead", "torque 25%"):
@@ -103,12 +98,12 @@ def test_a_person_sees_one_table_and_one_verdict(monkeypatch):
 )  # fmt: skip
 def test_run_refuses_an_unstable_loop_and_says_what_works(settings, state):
     """Unstable healthy, after the fault, or after one that the scenario does not have."""
-    message = refused("run", "thesis-step", *options(settings))
+    message = refused("run", "thesis-step", *sets(*settings))
     assert f"unstable ({state}): the spectral radius is" in message
     assert "this tuning is stable with no latency_ticks" in message
     offered = message.split("; ")[-2].removesuffix(" works").replace("--set ", "").split()
     assert check_stability(load("thesis-step", [*settings, *offered])).stable
-    assert asked("check", "thesis-step", *options((*settings, *offered))).returncode == 0
+    assert asked("check", "thesis-step", *sets(*settings, *offered)).returncode == 0
 
 
 def test_the_latency_that_a_tuning_survives_is_said():
@@ -124,7 +119,7 @@ def test_the_latency_that_a_tuning_survives_is_said():
 
 
 def test_run_takes_an_unstable_loop_when_told(tmp_path):  # type: ignore[no-untyped-def]
-    settings = options((*UNSTABLE, "duration_s=0.05"))
+    settings = sets(*UNSTABLE, "duration_s=0.05")
     arguments = (*settings, "--in-process", "--out", tmp_path / "r")
     assert asked("run", "thesis-step", *arguments).returncode == 2
     assert not (tmp_path / "r").exists()
@@ -189,9 +184,7 @@ def test_no_tuning_is_said_where_there_is_none():
 def test_a_loop_that_is_stable_with_nothing_to_spare_is_not_called_stable():
     """Of 1.5 ms ticks and two of latency, τ = 7 ms leaves 0.4 % of the distance to -1."""
     thin = ["tick_s=0.0015", "latency_ticks=2", "design.tau_s=0.007", "design.tau_q_s=0.0015"]
-    done = asked(
-        "check", "thesis-step", *(word for key in thin for word in ("--set", key)), "--json"
-    )
+    done = asked("check", "thesis-step", *sets(*thin), "--json")
     assert done.returncode == 1
     values = json.loads(done.stdout)
     assert max(values[end]["peak_sensitivity"] for end in ("healthy", "faulted")) > 100.0

@@ -8,7 +8,7 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning import search
-from tests.helpers import asked, refused, succeeded
+from tests.helpers import asked, refused, sets, succeeded
 from tests.rig.assessment.tuned import SETTINGS, SMALL, compiled_only
 
 pytestmark = compiled_only
@@ -41,8 +41,7 @@ def test_what_is_wrong_is_one_line_with_exit_status_2(arguments, reason):
 def test_the_command_writes_the_picture_the_table_and_the_options(tmp_path, monkeypatch):
     monkeypatch.setattr(search, "grid", lambda scenario: SMALL)
     monkeypatch.setenv("COLUMNS", "80")
-    settings = [word for setting in SETTINGS for word in ("--set", setting)]
-    arguments = ("tune", "thesis-step", *settings, "--box", "0", "--out", tmp_path)
+    arguments = ("tune", "thesis-step", *sets(*SETTINGS), "--box", "0", "--out", tmp_path)
     done = asked(*arguments, "--json")
     assert (done.returncode, done.stderr) == (0, "")
     values = json.loads(done.stdout)

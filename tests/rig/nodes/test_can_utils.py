@@ -22,7 +22,7 @@ from can_rig.nodes.runner import run_plant
 from can_rig.results.run_folder import LOG, SUMMARY
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from tests.helpers import DBC, NAMES, record, succeeded
+from tests.helpers import DBC, NAMES, record, sets, succeeded
 from tests.vcan import PATIENT, TIMEOUT_S, beside, frames, on_two_buses, tool
 
 pytestmark = pytest.mark.vcan
@@ -52,9 +52,9 @@ def live(tmp_path_factory):
     """A run of two processes on vcan0 with a fault in it, and candump -l beside it."""
     folder = tmp_path_factory.mktemp("live")
     settings = ["duration_s=0.5", "fault.at_s=0.3"]
-    words = [word for setting in settings for word in ("--set", setting)]
     with beside(*CANDUMP, "-n", 2500, cwd=folder) as heard:
-        words += ["--allow-unstable"]  # it is stable, and to see that takes long in the guest
+        # it is stable, and to see that takes long in the guest
+        words = [*sets(*settings), "--allow-unstable"]
         succeeded("run", "ideal", *words, "--bus", BUS, "--out", folder / "run")
         heard.wait(TIMEOUT_S)
     (candump,) = folder.glob("candump-*.log")

@@ -5,7 +5,7 @@ import gc
 import pytest
 
 from can_rig.nodes.ticks import without_garbage_pauses
-from tests.helpers import asked, record, start
+from tests.helpers import asked, record, sets, start
 from tests.rig.nodes.running import folder_is_complete, whole_ticks
 
 
@@ -14,8 +14,7 @@ def finished(tmp_path_factory):
     """One short run of two processes with a fault in it."""
     folder = tmp_path_factory.mktemp("finished") / "run"
     settings = ["duration_s=0.5", "fault.at_s=0.3", "seed=3", "plant.sensor.noise_mps2=0.001"]
-    arguments = [word for setting in settings for word in ("--set", setting)]
-    return asked("run", "thesis-step", *arguments, "--out", folder), folder, settings
+    return asked("run", "thesis-step", *sets(*settings), "--out", folder), folder, settings
 
 
 def test_two_processes_write_the_log_of_one_byte_for_byte(finished, tmp_path):

@@ -8,11 +8,10 @@ import pytest
 
 from can_rig.replaying.what_if import question
 from can_rig.results.source import Source
-from tests.helpers import asked, refused, succeeded
-from tests.rig.replay.drive import SETTINGS as DRIVE, off_by_one_bit, write_log_of
+from tests.helpers import asked, refused, sets, succeeded
+from tests.rig.replay.drive import SETTINGS, off_by_one_bit, write_log_of
 
-DURATION = ("--set", "duration_s=0.3", "--set", "fault.at_s=0.2")
-SETTINGS = tuple(word for setting in DRIVE for word in ("--set", setting))
+DURATION = sets("duration_s=0.3", "fault.at_s=0.2")
 PART = ("--from", "0.1", "--to", "0.15")
 
 
@@ -64,9 +63,8 @@ def test_what_is_before_is_replayed_but_not_compared(run, frames, tmp_path):
         assert result["first_tick"] == 0
     for tick, status in ((99, 0), (100, 1), (149, 1), (150, 0)):
         write_log_of(off_by_one_bit(frames, tick, 2), tmp_path / "drive.log")
-        done = asked(
-            "replay", tmp_path / "drive.log", "--scenario", "thesis-step", *SETTINGS, *PART
-        )
+        own = (tmp_path / "drive.log", "--scenario", "thesis-step", *sets(*SETTINGS))
+        done = asked("replay", *own, *PART)
         assert done.returncode == status, tick
     assert "could be compared" in refused("replay", run, "--from", "5")
 
@@ -75,7 +73,7 @@ def test_of_a_log_with_two_runs_every_tick_counts(frames, tmp_path):
     log = tmp_path / "two.log"
     write_log_of(frames, log)
     log.write_bytes(2 * log.read_bytes())
-    done = succeeded("replay", log, "--scenario", "thesis-step", *SETTINGS)
+    done = succeeded("replay", log, "--scenario", "thesis-step", *sets(*SETTINGS))
     assert "identical, bit for bit: 400 of 800 ticks" in done.stdout
 
 

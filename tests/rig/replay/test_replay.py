@@ -16,7 +16,7 @@ from can_rig.logs.writing import write_log
 from can_rig.replaying.replay import OpenLoop
 from can_rig.replaying.rig_frames import Recorded, recorded
 from can_rig.scenario.build import network_of
-from tests.helpers import NAMES, asked, record, refused, succeeded
+from tests.helpers import NAMES, asked, record, refused, sets, succeeded
 from tests.rig.nodes.world import World, hold_up, scenario_of
 from tests.rig.replay.drive import (
     ALL,
@@ -42,18 +42,8 @@ def test_a_run_folder_replays_bit_for_bit(tmp_path):
         ("noisy", ("fault.kind=sensor-biased",)),
         ("cluster", ("controller.kind=pi",)),
     ):
-        succeeded(
-            "run",
-            name,
-            "--in-process",
-            "--out",
-            name,
-            "--set",
-            "duration_s=0.3",
-            "--set",
-            "fault.at_s=0.2",
-            *(a for s in settings_ for a in ("--set", s)),
-        )
+        changes = sets("duration_s=0.3", "fault.at_s=0.2", *settings_)
+        succeeded("run", name, "--in-process", "--out", name, *changes)
         done = asked("replay", name, "--json")
         assert (done.returncode, done.stderr) == (0, "")
         result = json.loads(done.stdout)
@@ -128,18 +118,8 @@ def test_a_log_without_the_rig_is_refused(frames):
 def test_the_command_line_says_what_differs(drive, frames):
     log, wrong = mangled(frames, 7)
     write_log_of(log, Path("mangled.log"))
-    done = asked(
-        "replay",
-        "mangled.log",
-        "--scenario",
-        "thesis-step",
-        "--set",
-        "duration_s=0.4",
-        "--set",
-        "fault.at_s=0.2",
-        "--gaps",
-        "gaps.csv",
-    )
+    own = ("--scenario", "thesis-step", *sets(*SETTINGS))
+    done = asked("replay", "mangled.log", *own, "--gaps", "gaps.csv")
     assert done.returncode in (0, 1)
     lines = Path("gaps.csv").read_text().splitlines()[1:]
     found: Counter[tuple[int, str, str]] = Counter()
