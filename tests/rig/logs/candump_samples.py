@@ -40,13 +40,6 @@ def whole(path: Path, chunk_frames: int = 1 << 18) -> Frames:
 def rows(frames: Frames) -> list[tuple]:
     """Every frame as plain values, channels by name."""
     return [
-        (
-            int(frames.time_ns[at]),
-            int(frames.arbitration_id[at]),
-            int(frames.flags[at]),
-            frames.channels[frames.channel[at]],
-            int(frames.length[at]),
-            frames.data[at].tobytes().rstrip(b"\0"),
-        )
-        for at in range(len(frames))
+        (*start, frames.channels[bus], length, data.tobytes().rstrip(b"\0"))
+        for (*start, bus, length), data in zip(frames.rows(), frames.data, strict=True)
     ]

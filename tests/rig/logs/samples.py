@@ -7,6 +7,7 @@ import numpy as np
 from can import Message
 
 from can_rig.logs.frames import ERROR, EXTENDED, Frames
+from tests.rig.logs.candump_samples import rows
 
 START_S = 1_700_000_000.25
 
@@ -52,13 +53,8 @@ def by_python_can(path: Path, messages: list[Message]) -> Path:
 def content(frames: Frames) -> list[tuple]:
     """What every format keeps of a frame, buses by their numbers apart."""
     return [
-        (
-            0 if frames.flags[at] & ERROR else int(frames.arbitration_id[at]),
-            int(frames.flags[at]) & ~(EXTENDED if frames.flags[at] & ERROR else 0),
-            int(frames.length[at]),
-            frames.data[at].tobytes().rstrip(b"\0"),
-        )
-        for at in range(len(frames))
+        (0, flags & ~EXTENDED, *rest) if flags & ERROR else (identifier, flags, *rest)
+        for _, identifier, flags, _, *rest in rows(frames)
     ]
 
 

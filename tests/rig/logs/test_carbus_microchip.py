@@ -62,8 +62,7 @@ def test_a_microchip_log(tmp_path):
     assert rows(whole(path, 1)) == expected
     bare = written(tmp_path, MICROCHIP_LOG[MICROCHIP_LOG.index("166064") :], "b.log")
     assert rows(whole(bare)) == expected
-    packed = tmp_path / "c.log.gz"
-    packed.write_bytes(gzip.compress(MICROCHIP_LOG.encode()))
+    packed = written(tmp_path, gzip.compress(MICROCHIP_LOG.encode()), "c.log.gz")
     assert rows(whole(packed)) == expected
 
 

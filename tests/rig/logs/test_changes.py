@@ -68,17 +68,15 @@ def logged(
     folder: Path, frames: list[tuple], start_ns: int, first_ns: int, chunk: int = 1 << 18
 ) -> Log:
     """A log of these frames; the first comes ``first_ns`` after its start."""
-    names = tuple(dict.fromkeys(frame[3] for frame in frames))
-    data = np.zeros((len(frames), 64), np.uint8)
-    for row, frame in enumerate(frames):
-        data[row, : len(frame[5])] = list(frame[5])
+    after_ns, identifiers, flags, buses, lengths, payloads = zip(*frames, strict=True)
+    names = tuple(dict.fromkeys(buses))
     columns = Frames(
-        np.cumsum([start_ns + first_ns, *(frame[0] for frame in frames[1:])]).astype(np.int64),
-        np.array([frame[1] for frame in frames], np.uint32),
-        np.array([frame[2] for frame in frames], np.uint8),
-        np.array([names.index(frame[3]) for frame in frames], np.uint8),
-        np.array([frame[4] for frame in frames], np.uint8),
-        data,
+        np.cumsum([start_ns + first_ns, *after_ns[1:]]).astype(np.int64),
+        np.array(identifiers, np.uint32),
+        np.array(flags, np.uint8),
+        np.array([names.index(bus) for bus in buses], np.uint8),
+        np.array(lengths, np.uint8),
+        np.array([list(payload.ljust(64, b"\0")) for payload in payloads], np.uint8),
         names,
     )
 

@@ -55,8 +55,8 @@ def test_every_kind_of_frame(tmp_path, suffix):
 def test_compressed_text(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     write_log(read_log(by_python_can(tmp_path / "a.log", plain(50))), path)
-    (tmp_path / f"a{suffix}.gz").write_bytes(gzip.compress(path.read_bytes()))
-    unpacked, packed = read_log(path), read_log(tmp_path / f"a{suffix}.gz")
+    compressed = written(tmp_path, gzip.compress(path.read_bytes()), f"a{suffix}.gz")
+    unpacked, packed = read_log(path), read_log(compressed)
     assert content(concatenate(packed)) == content(concatenate(unpacked))
     assert packed.start_ns == unpacked.start_ns > 0
 
@@ -118,8 +118,7 @@ def test_cut_off_at_every_byte(tmp_path, kind):
     "junk", [b"this is\nno log\nat all\n", bytes(500), np.random.default_rng(2).bytes(3000)]
 )
 def test_something_else_is_refused_in_one_line(tmp_path, suffix, junk):
-    path = tmp_path / f"a{suffix}"
-    path.write_bytes(junk)
+    path = written(tmp_path, junk, f"a{suffix}")
     with pytest.raises(LogError) as error:
         concatenate(read_log(path))
     assert str(error.value).startswith(str(path))
@@ -134,8 +133,7 @@ def test_something_else_is_refused_in_one_line(tmp_path, suffix, junk):
     ],
 )
 def test_an_mdf_file_without_groups_is_refused(tmp_path, head, said):
-    path = tmp_path / "a.mf4"
-    path.write_text(head, "ascii")
+    path = written(tmp_path, head, "a.mf4")
     with pytest.raises(LogError, match=f"^{path}: {said}"):
         concatenate(read_log(path))
 
@@ -199,8 +197,7 @@ def test_binary_logs_by_another_name(tmp_path):
         other = path.rename(tmp_path / "a.asc")
         assert read_log(other).format.key == suffix
         assert len(whole(other)) == 20
-        packed = tmp_path / f"b{suffix}.gz"
-        packed.write_bytes(gzip.compress(other.read_bytes()))
+        packed = written(tmp_path, gzip.compress(other.read_bytes()), f"b{suffix}.gz")
         with pytest.raises(LogError, match="must be unpacked before"):
             read_log(packed)
     with pytest.raises(LogError, match="unknown log format"):

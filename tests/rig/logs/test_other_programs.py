@@ -11,12 +11,12 @@ from asammdf import Signal, Source
 from can_rig.errors import LogError
 from can_rig.logs.frames import ERROR, EXTENDED, FD, REMOTE, SENT, concatenate
 from can_rig.logs.reading import read_log
+from tests.rig.logs.candump_samples import whole, written
 from tests.rig.logs.samples import CANOE, LOG2ASC, PEAK, content, relative_ns
 
 
 def test_a_log_of_log2asc(tmp_path):
-    (tmp_path / "a.asc").write_text(LOG2ASC, "ascii")
-    log = read_log(tmp_path / "a.asc")
+    log = read_log(written(tmp_path, LOG2ASC, "a.asc"))
     frames = concatenate(log)
     assert [flags & ~EXTENDED if flags & ERROR else flags for flags in frames.flags.tolist()] == [
         0,
@@ -32,8 +32,7 @@ def test_a_log_of_log2asc(tmp_path):
 
 
 def test_a_log_of_canoe(tmp_path):
-    (tmp_path / "a.asc").write_text(CANOE, "ascii")
-    log = read_log(tmp_path / "a.asc")
+    log = read_log(written(tmp_path, CANOE, "a.asc"))
     assert content(concatenate(log)) == [
         (0x123, 0, 2, b"\x0a\x0b"),
         (0x1F334455, EXTENDED | SENT, 1, b"\xff"),
@@ -46,19 +45,17 @@ def test_a_log_of_canoe(tmp_path):
 def test_the_first_frame_behind_a_short_header_is_read(tmp_path):
     """python-can takes the line behind the header for one of it."""
     text = LOG2ASC.replace("no internal events logged\n", "")
-    (tmp_path / "a.asc").write_text(text, "ascii")
-    assert len(concatenate(read_log(tmp_path / "a.asc"))) == 5
+    assert len(whole(written(tmp_path, text, "a.asc"))) == 5
 
 
 def test_time_stamps_from_line_to_line_are_refused(tmp_path):
-    (tmp_path / "a.asc").write_text(LOG2ASC.replace("absolute", "relative"), "ascii")
+    path = written(tmp_path, LOG2ASC.replace("absolute", "relative"), "a.asc")
     with pytest.raises(LogError, match=r"a.asc: .*'timestamps relative'.*absolute"):
-        concatenate(read_log(tmp_path / "a.asc"))
+        whole(path)
 
 
 def test_a_log_of_pcan_view(tmp_path):
-    (tmp_path / "a.trc").write_text(PEAK, "ascii")
-    log = read_log(tmp_path / "a.trc")
+    log = read_log(written(tmp_path, PEAK, "a.trc"))
     frames = concatenate(log)
     assert content(frames) == [
         (0x300, 0, 7, bytes.fromhex("0000000004")),
