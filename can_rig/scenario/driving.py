@@ -1,7 +1,6 @@
 """The inputs of a drive: the speed over time, and the designs at the speeds."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -109,13 +108,7 @@ def speed_profile(scenario: Scenario) -> SpeedProfile:
     return profile
 
 
-def _with_file(where: str, drive: DriveSettings, end_s: float) -> Iterator[object]:
-    """The facts that determine a recorded drive, with the file's time stamp and size."""
-    yield from (where, drive, end_s)
-    yield from state_of_file(drive.file)
-
-
-@remembered(4, by=_with_file)
+@remembered(4, by=lambda where, drive, end_s: (where, drive, end_s, *state_of_file(drive.file)))
 def _recorded(where: str, drive: DriveSettings, end_s: float) -> SpeedProfile:
     recorded = over_time(drive.file, where, COLUMNS, end_s)
     speeds = recorded.values.pop(SPEED_COLUMN)

@@ -1,6 +1,5 @@
 """The reference of D*, one value per tick."""
 
-from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -118,13 +117,9 @@ def lane_change(
     return np.where(out | back, amplitude_mps2 * np.sin(2.0 * np.pi * phase), 0.0)
 
 
-def _with_file(scenario: Scenario) -> Iterator[object]:
-    """The facts that determine a reference from a CSV, with the file's time stamp and size."""
-    yield from (scenario.reference, scenario.ticks, scenario.tick_ns)
-    yield from state_of_file(scenario.reference.file)
-
-
-@remembered(1, by=_with_file)
+@remembered(
+    1, by=lambda of: (of.reference, of.ticks, of.tick_ns, *state_of_file(of.reference.file))
+)
 def _from_csv(scenario: Scenario) -> FloatArray:
     """Linear between the CSV's rows (time_s, reference_mps2), end values held; header optional."""
     where = f"scenario {scenario.name}: reference.file = {scenario.reference.file!r}"
