@@ -9,7 +9,7 @@ here starts when the log does, and its time stamps are exact to the nanosecond.
 
 import re
 import struct
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from io import BufferedReader
@@ -244,20 +244,9 @@ class MdfFile:
             found.append(self._channel(block, elements))
 
     def _channel(self, block: Block, elements: int) -> Channel:
-        kind, _, data_type, bit_offset, byte_offset, bits = struct.unpack_from(
-            "<BBBBII", block.data
-        )
-        return Channel(
-            self._text(block.links[2]),
-            kind,
-            data_type,
-            bit_offset,
-            byte_offset,
-            bits,
-            block.links[5],
-            self._conversion(block.links[4]),
-            elements,
-        )
+        name, conversion = self._text(block.links[2]), self._conversion(block.links[4])
+        kind, data_type, bit, byte, bits = struct.unpack_from("<BxBBII", block.data)
+        return Channel(name, kind, data_type, bit, byte, bits, block.links[5], conversion, elements)
 
     def _elements(self, at: int) -> int:
         block = self.block(at, b"CA", 1, 16)
@@ -447,8 +436,8 @@ def _copy(values: UInt8s, places: Any, length: UInt8s, rows: UInt8s, found: Any)
 
 def records(
     file: MdfFile, data: DataGroup, group: ChannelGroup, values: ChannelGroup | None, held: Values
-) -> Generator[UInt8s, None, bool]:
-    """(n, bytes of a record) of one group, piece by piece; returns whether the end is cut off.
+) -> Iterator[UInt8s]:
+    """(n, bytes of a record) of one group, piece by piece; ``file`` knows of a cut end.
 
     Args:
         file: the file.
@@ -477,7 +466,7 @@ def records(
             yield found.reshape(-1, size)
     if len(waiting):
         yield waiting.reshape(-1, size)
-    return bool(rest)
+    file.is_cut |= bool(rest)
 
 
 def _split(
@@ -770,7 +759,7 @@ def _read(log: Log) -> Iterator[Frames]:
     except (MdfError, struct.error) as error:
         raise LogError(f"{log.path}: an MDF 4 file that is cut off or damaged: {error}") from None
     missing = sum(group.missing for group in groups)
-    if done < total or missing or file.is_cut or any(group.cut_off for group in groups):
+    if done < total or missing or file.is_cut:
         of_all = f" of {total}" if done < total else f" of {done + missing}" if missing else ""
         log.notice = f"{log.path}: is cut off; {done}{of_all} frames are in it"
 
@@ -809,8 +798,6 @@ class _Group:
         self._master = masters[0]
         self.expected = group.records
         """Frames by the file."""
-        self.cut_off = False
-        """Whether the last record is not whole."""
         self.missing = 0
         """Frames without their payloads."""
 
@@ -821,16 +808,9 @@ class _Group:
             of_values = next((g for g in self._data.groups if g.at == payload.data_at), None)
             if of_values is None:
                 held = Values(stream(self._file, payload.data_at))
-        pieces = records(self._file, self._data, self._group, of_values, held)
         first = 0
-        while True:
-            try:
-                piece = next(pieces)
-            except StopIteration as end:
-                self.cut_off = bool(end.value)
-                return
-            if self._file.is_finished:
-                piece = piece[: max(self.expected - first, 0)]
+        for found in records(self._file, self._data, self._group, of_values, held):
+            piece = found[: max(self.expected - first, 0)] if self._file.is_finished else found
             for begin in range(0, len(piece), self._log.chunk_frames):
                 part = piece[begin : begin + self._log.chunk_frames]
                 frames = self._frames(np.ascontiguousarray(part), first, held)
