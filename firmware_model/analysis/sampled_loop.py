@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from firmware_model.analysis.sampled_plant import held, split_ticks
+from firmware_model.analysis.sampled_plant import held_input, split_ticks
 from firmware_model.design.plants import Plant
 from firmware_model.discretisation.sections import ComplexArray, reaching
 from firmware_model.errors import ParameterError
@@ -253,7 +253,7 @@ def sampled_loop(
         split_ticks(law.latency_ticks + extra_delay_ticks + dead_time_s / tick_s)
         for dead_time_s in plant.path_dead_times_s
     ]
-    phi, gamma_new, gamma_old = held(plant, tick_s, (delays[0][1], delays[1][1]))
+    phi, gamma_new, gamma_old = held_input(plant.a, plant.b, tick_s, (delays[0][1], delays[1][1]))
     gamma_new, gamma_old = gamma_new * effectiveness, gamma_old * effectiveness
     waiting = max(whole + bool(part) for whole, part in delays)
 

@@ -106,10 +106,10 @@ def sample(plant: Plant, tick_s: float, readings: Readings = NO_READINGS) -> Sam
         split_ticks(dead_time_s / tick_s)
         for dead_time_s in (*plant.dead_times_s, plant.sensor_dead_time_s)
     )
-    phi, gamma, gamma_old = held(plant, tick_s, (part_1, part_2))
+    phi, gamma, gamma_old = held_input(plant.a, plant.b, tick_s, (part_1, part_2))
     looks_back = np.zeros(len(phi) + 4)
     if part > 0.0:
-        begin = held(plant, tick_s, (part_1, part_2), until=1.0 - part)
+        begin = held_input(plant.a, plant.b, tick_s, (part_1, part_2), until=1.0 - part)
         looks_back = np.concatenate([plant.c[0] @ matrix for matrix in begin])
     c = np.ascontiguousarray(plant.c[0])
     sensed = c if plant.sensed is None else np.ascontiguousarray(plant.sensed[0])
@@ -125,13 +125,6 @@ def split_ticks(ticks: float) -> tuple[int, float]:
     whole = math.floor(ticks + WHOLE)
     part = ticks - whole
     return whole, part if part > WHOLE else 0.0
-
-
-def held(
-    plant: Plant, tick_s: float, late: tuple[float, float], until: float = 1.0
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """``held_input`` for a plant, from the begin of a tick to the part ``until`` of it."""
-    return held_input(plant.a, plant.b, tick_s, late, until)
 
 
 def held_input(
@@ -152,13 +145,8 @@ def held_input(
     for begin, end in pairwise(cuts):
         step, drive = _exponential(a, b, (end - begin) * tick_s)
         new = np.array([begin >= part for part in late])
-        if len(cuts) == 2:  # nothing changes within
-            return step, drive * new, drive * ~new
-        phi, gamma, gamma_old = (
-            step @ phi,
-            step @ gamma + drive * new,
-            step @ gamma_old + drive * ~new,
-        )
+        gamma, gamma_old = step @ gamma + drive * new, step @ gamma_old + drive * ~new
+        phi = step @ phi
     return phi, gamma, gamma_old
 
 
