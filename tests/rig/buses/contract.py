@@ -5,10 +5,10 @@ from typing import Any
 
 import can
 import pytest
-from can.util import CAN_FD_DLC
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
 
 from can_rig.buses.bus import open_bus
+from tests.drawn_frames import frames
 
 Open = Callable[..., can.BusABC]
 TIMEOUT_S = 30.0  # for what must come; a test fails, and never hangs, without it
@@ -28,27 +28,6 @@ def numbers(bus: can.BusABC, count: int) -> list[int]:
             break
         received.append(int.from_bytes(msg.data, "little"))
     return received
-
-
-@st.composite
-def frames(draw: st.DrawFn, *, error_frames: bool) -> can.Message:
-    kinds = ["data", "remote", "fd"] + ["error"] * error_frames
-    kind = draw(st.sampled_from(kinds))
-    extended = draw(st.booleans())
-    size = draw(st.sampled_from(CAN_FD_DLC) if kind == "fd" else st.integers(0, 8))
-    data = b"" if kind == "remote" else draw(st.binary(min_size=size, max_size=size))
-    return can.Message(
-        arbitration_id=draw(st.integers(0, 0x1FFFFFFF if extended else 0x7FF)),
-        is_extended_id=extended,
-        is_remote_frame=kind == "remote",
-        is_error_frame=kind == "error",
-        is_fd=kind == "fd",
-        bitrate_switch=kind == "fd" and draw(st.booleans()),
-        error_state_indicator=kind == "fd" and draw(st.booleans()),
-        dlc=size,
-        data=data,
-        check=True,
-    )
 
 
 class BusContract:
@@ -86,9 +65,10 @@ class BusContract:
 
     def test_every_kind_of_frame_survives(self, near, far):
         sender, receiver = near(), far()
+        kinds = ["data", "remote", "fd"] + ["error"] * self.error_frames
 
         @settings(max_examples=100)
-        @given(frames(error_frames=self.error_frames))
+        @given(frames(kinds))
         def survives(sent: can.Message) -> None:
             sender.send(sent)
             received = receiver.recv(TIMEOUT_S)

@@ -23,6 +23,7 @@ from can_rig.logs.frames import (
     concatenate,
 )
 from can_rig.logs.reading import read_log
+from tests.drawn_frames import frames
 from tests.rig.logs.candump_samples import CANDUMP, DIRECTED, GOOD, rows, whole, written
 from tests.rig.logs.messages import from_messages
 
@@ -59,23 +60,14 @@ def test_a_comment_is_passed_over(tmp_path, chunk_frames):
     assert log.notice is None
 
 
-payloads = st.binary(max_size=8)
+def recorded(message: can.Message, channel: str, time_us: int, sent: bool) -> can.Message:
+    message.channel, message.timestamp, message.is_rx = channel, time_us / 1e6, not sent
+    return message
+
+
 frames_drawn = st.builds(
-    lambda kind, identifier, extended, data, channel, time_us, sent: can.Message(
-        timestamp=time_us / 1e6,
-        arbitration_id=identifier if extended else identifier & 0x7FF,
-        is_extended_id=extended,
-        is_fd=kind == "fd",
-        is_remote_frame=kind == "remote",
-        bitrate_switch=kind == "fd" and sent,
-        data=None if kind == "remote" else data * (8 if kind == "fd" else 1),
-        channel=channel,
-        is_rx=not sent,
-    ),
-    st.sampled_from(["data", "data", "fd", "remote"]),
-    st.integers(0, (1 << 29) - 1),
-    st.booleans(),
-    payloads,
+    recorded,
+    frames(["data", "data", "fd", "remote"]),
     st.sampled_from(["can0", "van0", "vcan17", "a"]),
     st.integers(0, 2_000_000_000_000_000),
     st.booleans(),

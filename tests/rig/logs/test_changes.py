@@ -9,76 +9,47 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from can import Message
 from hypothesis import given, settings, strategies as st
 
 from can_rig.errors import LogError
 from can_rig.logs.formats.candump import CANDUMP
-from can_rig.logs.frames import (
-    BITRATE_SWITCH,
-    ERROR,
-    ERROR_STATE,
-    EXTENDED,
-    FD,
-    REMOTE,
-    SENT,
-    Frames,
-    Log,
-    concatenate,
-)
+from can_rig.logs.frames import ERROR, REMOTE, SENT, Log, concatenate
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
+from tests.drawn_frames import any_bytes, frames
 from tests.helpers import asked
 from tests.rig.logs.candump_samples import rows, whole, written
+from tests.rig.logs.messages import from_messages
 
 FORMATS = [".log", ".asc", ".blf", ".trc", ".mf4", ".csv"]
-LACKS = {".trc": {ERROR}, ".csv": {ERROR, REMOTE, FD}}
+LACKS = {".trc": {"is_error_frame"}, ".csv": {"is_error_frame", "is_remote_frame", "is_fd"}}
 ERRORS_OF_LINUX = (8, 64, 0x88)
-
-
-@st.composite
-def one_frame(draw: st.DrawFn) -> tuple:
-    """Time since the last frame [ns], identifier, flags, bus, length and payload."""
-    kind = draw(st.sampled_from([0, 0, REMOTE, ERROR, FD]))
-    direction = draw(st.sampled_from([0, SENT]))
-    length = draw(st.integers(0, 8))
-    extended = draw(st.sampled_from([0, EXTENDED])) if kind != ERROR else 0
-    identifier = draw(st.integers(0, (1 << (29 if extended else 11)) - 1))
-    if kind == ERROR:
-        identifier, length = draw(st.sampled_from(ERRORS_OF_LINUX)), 8
-    if kind == FD:
-        length = draw(st.sampled_from([0, 1, 8, 12, 16, 20, 24, 32, 48, 64]))
-        kind |= draw(st.sampled_from([0, BITRATE_SWITCH])) | draw(st.sampled_from([0, ERROR_STATE]))
-    payload = b"" if kind == REMOTE else draw(st.binary(min_size=length, max_size=length))
-    after_ns = draw(st.sampled_from([1_000_000, 1_000, 1_234_567, 1]))
-    return (
-        after_ns,
-        identifier,
-        kind | extended | direction,
-        draw(st.sampled_from(BUSES)),
-        length,
-        payload,
-    )
 
 
 BUSES = ("can0", "vcan0", "canA", "canB", "can1", "0", "can999")
 STARTS_NS = [0, 5_500_000_000, 1_700_000_000_007_000_000, 1_700_000_000_123_456_789]
 
 
+@st.composite
+def one_frame(draw: st.DrawFn) -> Message:
+    """Its time stamp is the time since the last frame."""
+    message = draw(frames(["data", "data", "remote", "error", "fd"]))
+    message.timestamp = draw(st.sampled_from([1e-3, 1e-6, 1.234567e-3, 1e-9]))
+    message.channel, message.is_rx = draw(st.sampled_from(BUSES)), draw(st.booleans())
+    if message.is_error_frame:
+        message.arbitration_id = draw(st.sampled_from(ERRORS_OF_LINUX))
+        message.is_extended_id, message.dlc, message.data = False, 8, draw(any_bytes(8))
+    return message
+
+
 def logged(
-    folder: Path, frames: list[tuple], start_ns: int, first_ns: int, chunk: int = 1 << 18
+    folder: Path, messages: list[Message], start_ns: int, first_ns: int, chunk: int = 1 << 18
 ) -> Log:
     """A log of these frames; the first comes ``first_ns`` after its start."""
-    after_ns, identifiers, flags, buses, lengths, payloads = zip(*frames, strict=True)
-    names = tuple(dict.fromkeys(buses))
-    columns = Frames(
-        np.cumsum([start_ns + first_ns, *after_ns[1:]]).astype(np.int64),
-        np.array(identifiers, np.uint32),
-        np.array(flags, np.uint8),
-        np.array([names.index(bus) for bus in buses], np.uint8),
-        np.array(lengths, np.uint8),
-        np.array([list(payload.ljust(64, b"\0")) for payload in payloads], np.uint8),
-        names,
-    )
+    columns = from_messages(messages)
+    columns.time_ns[0] = start_ns + first_ns
+    columns = replace(columns, time_ns=np.cumsum(columns.time_ns))
 
     def reader(log: Log):
         log.start_ns = start_ns
@@ -154,19 +125,19 @@ def agree(lines: list[str], before: list[tuple], start_ns: int, log: Log) -> boo
 @pytest.mark.parametrize("suffix", FORMATS)
 @settings(max_examples=30, deadline=None)
 @given(
-    frames=st.lists(one_frame(), min_size=1, max_size=8),
+    messages=st.lists(one_frame(), min_size=1, max_size=8),
     start_ns=st.sampled_from(STARTS_NS),
     first_ns=st.sampled_from([0, 1, 1_000_000, 7_000_345]),
     chunk=st.sampled_from([2, 100]),
 )
-def test_it_says_what_is_different(suffix, frames, start_ns, first_ns, chunk):
+def test_it_says_what_is_different(suffix, messages, start_ns, first_ns, chunk):
     lacks = LACKS.get(suffix, set())
-    frames = [frame for frame in frames if not any(frame[2] & flag for flag in lacks)]
-    if not frames:
+    messages = [message for message in messages if not any(getattr(message, a) for a in lacks)]
+    if not messages:
         return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        log = logged(folder, frames, start_ns, first_ns, chunk)
+        log = logged(folder, messages, start_ns, first_ns, chunk)
         before = rows(concatenate(log))
         changes = write_log(log, folder / f"b{suffix}")
         again = read_log(folder / f"b{suffix}")
@@ -176,19 +147,19 @@ def test_it_says_what_is_different(suffix, frames, start_ns, first_ns, chunk):
 @pytest.mark.parametrize("first", FORMATS)
 @pytest.mark.parametrize("second", FORMATS)
 @settings(max_examples=8, deadline=None)
-@given(frames=st.lists(one_frame(), min_size=1, max_size=6), start_ns=st.sampled_from(STARTS_NS))
-def test_every_pair_of_formats(first, second, frames, start_ns):
+@given(messages=st.lists(one_frame(), min_size=1, max_size=6), start_ns=st.sampled_from(STARTS_NS))
+def test_every_pair_of_formats(first, second, messages, start_ns):
     """From the first format to the second and back, twice: the second loss is none."""
     lacks = LACKS.get(first, set()) | LACKS.get(second, set())
-    frames = [frame for frame in frames if not any(frame[2] & flag for flag in lacks)]
-    if not frames:
+    messages = [message for message in messages if not any(getattr(message, a) for a in lacks)]
+    if not messages:
         return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         paths = [
             folder / f"{at}{suffix}" for at, suffix in enumerate([first, second, first, second])
         ]
-        write_log(logged(folder, frames, start_ns, 7_000_345), paths[0])
+        write_log(logged(folder, messages, start_ns, 7_000_345), paths[0])
         for source, out in pairwise(paths):
             log = read_log(source)
             before = rows(concatenate(log))
@@ -217,8 +188,9 @@ def test_buses_are_told_apart_and_the_command_says_how(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".trc", ".csv"])
 def test_what_is_refused_is_counted_in_the_whole_log(tmp_path, suffix):
-    frames = [(1_000_000, 1, 0, "can0", 1, b"1"), (1_000_000, 8, ERROR, "can0", 8, bytes(8))] * 134
-    log = logged(tmp_path, frames, 0, 0, chunk=4)
+    frame = Message(0.001, 1, channel="can0", data=b"1")
+    error = Message(0.001, 8, channel="can0", is_error_frame=True, data=bytes(8))
+    log = logged(tmp_path, [frame, error] * 134, 0, 0, chunk=4)
     with pytest.raises(LogError, match=r"b\.\w+: .* and .*a has 134 error frames; the format must"):
         write_log(log, tmp_path / f"b{suffix}")
     assert not (tmp_path / f"b{suffix}").exists()
