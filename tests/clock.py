@@ -1,4 +1,6 @@
-"""A clock that tests turn."""
+"""A clock that tests turn, and a bus on which it goes on."""
+
+import can
 
 
 class TurnedClock:
@@ -23,3 +25,20 @@ class TurnedClock:
     def pass_s(self, seconds: float) -> None:
         """Let time go by."""
         self.ns += round(seconds * 1e9)
+
+
+class Wire:
+    """A bus with scripted messages that keeps sent messages; time passes during waits."""
+
+    def __init__(self, clock: TurnedClock, *waiting: can.Message) -> None:
+        self.clock, self.waiting = clock, list(waiting)
+        self.sent: list[can.Message] = []
+
+    def send(self, msg: can.Message) -> None:
+        self.sent.append(msg)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        if self.waiting:
+            return self.waiting.pop(0)
+        self.clock.pass_s(timeout or 0.0)
+        return None

@@ -30,7 +30,7 @@ from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.runner import RunOptions, run_controller, run_plant
 from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
-from tests.clock import TurnedClock
+from tests.clock import TurnedClock, Wire
 from tests.helpers import DBC, NAMES, record, start
 from tests.rig.nodes.running import one_line
 
@@ -143,22 +143,6 @@ def test_from_the_command_line_whoever_is_there_first(first, tmp_path):
 
 
 # --- one end, by hand ----------------------------------------------------------------------------
-
-
-class Wire:
-    """A bus with scripted messages that keeps sent messages; time passes during waits."""
-
-    def __init__(self, clock):
-        self.clock, self.sent, self.waiting = clock, [], []
-
-    def send(self, msg):
-        self.sent.append(msg)
-
-    def recv(self, timeout=None):
-        if self.waiting:
-            return self.waiting.pop(0)
-        self.clock.pass_s(timeout or 0.0)
-        return None
 
 
 class End:

@@ -18,7 +18,7 @@ from can_rig.nodes.lockstep import ControllerNode, PlantNode
 from can_rig.nodes.recording import Recorder
 from can_rig.plant.simulated import SimulatedPlant
 from firmware_model.firmware import Firmware
-from tests.clock import TurnedClock
+from tests.clock import TurnedClock, Wire
 from tests.rig.nodes.ends import ANSWER, NETWORK, OFFER, SCENARIO, SINE, TICKS, Ends, order
 
 
@@ -314,16 +314,12 @@ def rest_of(path: Path, stamps_s: list[float], error: bool = False) -> tuple[int
 
 def after_a_tick_among_others(recorder: Recorder) -> PlantNode:
     """A command of the tick is missing, and a foreign frame arrived."""
-    bus = deque([can.Message(arbitration_id=0x700, is_extended_id=False)])
-    bus += [Transmitter(codec).frame(0.0, 0) for codec in (NETWORK.command_1, NETWORK.status)]
-
-    class Bus:
-        def recv(self, timeout: float) -> can.Message:
-            return bus.popleft()
-
+    foreign = can.Message(arbitration_id=0x700, is_extended_id=False)
+    own = (Transmitter(codec).frame(0.0, 0) for codec in (NETWORK.command_1, NETWORK.status))
+    bus = Wire(TurnedClock(), foreign, *own)
     node = PlantNode(SCENARIO, NETWORK, lambda message: None, recorder)
     node.offer(0)
-    node.collect(0, Watchdog(Bus(), "controller", Timeouts(1.0, 1.0), StopRequest()))
+    node.collect(0, Watchdog(bus, "controller", Timeouts(1.0, 1.0), StopRequest()))
     return node
 
 

@@ -13,14 +13,14 @@ from can_rig.frames import operator_frames
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.operator_frames import Command, command_message, taken_message
 from can_rig.logs.reading import read_log
-from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, SYSTEM_CLOCK, Clock, StopRequest, Watchdog
+from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Watchdog
 from can_rig.nodes.ends import PlantEnd
 from can_rig.nodes.interaction import Interaction
 from can_rig.nodes.operating import Touch, done, touches
 from can_rig.nodes.run_control import FollowedFaults, RunControl
 from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.build import network_of
-from tests.clock import TurnedClock
+from tests.clock import TurnedClock, Wire
 from tests.helpers import on_a_bus
 
 SETTINGS = ("duration_s=0.3", "fault.kind=none")
@@ -204,31 +204,15 @@ def test_the_log_of_a_touched_run_gives_the_same_log_again(tmp_path):
     assert again.read_bytes() == log.read_bytes()
 
 
-class Silent:
-    """A bus that delivers only waiting messages."""
-
-    def __init__(self, *waiting: can.Message):
-        self.waiting = list(waiting)
-
-    def recv(self, timeout=None):
-        return self.waiting.pop(0) if self.waiting else None
-
-    def send(self, msg):
-        raise AssertionError(msg)
-
-
-def a_control(
-    interaction: Interaction, sent: list[can.Message], clock: Clock = SYSTEM_CLOCK
-) -> tuple[RunControl, PlantEnd]:
+def a_control(interaction: Interaction, bus: Wire) -> tuple[RunControl, PlantEnd, Watchdog]:
     scenario = load("ideal", SETTINGS)
-    end = PlantEnd(scenario, network_of(scenario), sent.append, None, None, interaction.injectable)
-    return RunControl(interaction, scenario, end, sent.append, clock), end
+    end = PlantEnd(scenario, network_of(scenario), bus.send, None, None, interaction.injectable)
+    watchdog = Watchdog(bus, "controller", DEFAULT_TIMEOUTS, StopRequest(), clock=bus.clock)
+    return RunControl(interaction, scenario, end, bus.send, bus.clock), end, watchdog
 
 
 def test_ten_thousand_wrong_or_repeated_commands_change_nothing():
-    sent: list[can.Message] = []
-    run, end = a_control(Interaction(injectable=True), sent)
-    watchdog = Watchdog(Silent(), "controller", DEFAULT_TIMEOUTS, StopRequest())
+    run, end, watchdog = a_control(Interaction(injectable=True), Wire(TurnedClock()))
     good = [command_message(DEAD._replace(duration_s=None), 0), command_message(DEAD, 1)]
     for message in good:
         run.take(message)
@@ -251,22 +235,21 @@ def test_ten_thousand_wrong_or_repeated_commands_change_nothing():
 
 def test_a_node_that_is_not_injectable_counts_and_refuses(tmp_path):
     for interaction in (Interaction(), Interaction(pace=1e6)):
-        sent: list[can.Message] = []
-        run, end = a_control(interaction, sent)
+        bus = Wire(TurnedClock())
+        run, end, watchdog = a_control(interaction, bus)
         run.take(command_message(DEAD, 0))
-        run.begin(0, Watchdog(Silent(), "controller", DEFAULT_TIMEOUTS, StopRequest()), run.take)
-        assert (run.refused, sent, end.plant._faults.at(200).left) == (1, [], (1.0, 1.0))
+        run.begin(0, watchdog, run.take)
+        assert (run.refused, bus.sent, end.plant._faults.at(200).left) == (1, [], (1.0, 1.0))
 
 
 def test_a_paused_node_goes_on_by_steps_and_says_how_it_stands():
-    sent: list[can.Message] = []
-    run, end = a_control(Interaction(injectable=True), sent)
     told = [Command("PAUSE"), Command("MOVE_REFERENCE", value=0.25), Command("STEP", value=2.0)]
-    bus = Silent(*(command_message(command, at) for at, command in enumerate(told)))
-    watchdog = Watchdog(bus, "controller", DEFAULT_TIMEOUTS, StopRequest())
+    messages = [command_message(command, at) for at, command in enumerate(told)]
+    bus = Wire(TurnedClock(10**9), *messages)
+    run, end, watchdog = a_control(Interaction(injectable=True), bus)
     run.begin(5, watchdog, run.take)
     run.begin(6, watchdog, run.take)
-    state = operator_frames.read_state(sent[-1])
+    state = operator_frames.read_state(bus.sent[-1])
     assert state is not None
     assert (state.injectable, state.paused, state.next_sequence, state.refused) == (
         True,
@@ -288,8 +271,7 @@ def test_a_paused_node_goes_on_by_steps_and_says_how_it_stands():
 )
 def test_the_pace_after_a_late_tick(begun_s, next_s):
     clock = TurnedClock()
-    run, _ = a_control(Interaction(pace=1.0), [], clock)
-    watchdog = Watchdog(Silent(), "controller", DEFAULT_TIMEOUTS, StopRequest())
+    run, _, watchdog = a_control(Interaction(pace=1.0), Wire(clock))
     run.begin(0, watchdog, run.take)
     assert clock.now_s == 0.001
     clock.pass_s(begun_s - 0.001)

@@ -5,7 +5,6 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import can
 import numpy as np
@@ -14,13 +13,16 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import DbcError, ScenarioError, SilentNodeError
-from can_rig.nodes.bus_access import SYSTEM_CLOCK, StopRequest
+from can_rig.frames.network import Network
+from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
 from can_rig.nodes.ticks import drive
 from can_rig.plant.frameless import frameless
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState
+from tests.clock import TurnedClock, Wire
 from tests.helpers import asked, record, refused, refuses, succeeded
 from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database, options
 
@@ -135,32 +137,12 @@ def test_real_time_needs_no_tick(tmp_path):
             assert any(abs(value - other) <= 1e-12 + 1e-7 * abs(other) for other in left), role
 
 
-class Heard:
-    """A watchdog that hears some frames and then silence."""
-
-    def __init__(self, frames: list[can.Message]) -> None:
-        self.stop, self._left = StopRequest(), iter(frames)
-
-    def receive(self, tick: int) -> can.Message:
-        frame = next(self._left, None)
-        if frame is None:
-            raise SilentNodeError(f"nothing at tick {tick}")
-        return frame
-
-    def hear(self) -> None: ...
-
-    def go_on_waiting(self, tick: int) -> None: ...
-
-
-class NoBus:
-    """Takes everything, says nothing."""
-
-    def send(self, message: can.Message) -> None: ...
-
-    def recv(self, timeout: float) -> None: ...
-
-
-def driven(node: RealTimeControllerNode, watchdog: Any) -> int:
+def driven(scenario: Scenario, network: Network, *frames: can.Message) -> int:
+    """The ticks of a controller that hears some frames and then silence."""
+    clock = TurnedClock()
+    wire = Wire(clock, *frames)
+    node = RealTimeControllerNode(scenario, network, wire, clock, PYTHON)
+    watchdog = Watchdog(wire, "plant", Timeouts(), StopRequest(), clock=clock)
     return drive(partial(node.carry, watchdog), node.ticks, lambda _: None)
 
 
@@ -168,21 +150,17 @@ def driven(node: RealTimeControllerNode, watchdog: Any) -> int:
 def test_where_frames_have_no_tick_silence_is_the_end(tick):
     scenario = load("default", [*CHASSIS, *options(MOTOROLA, SIGNALS, tick)])
     network = network_of(scenario)
-
-    def node() -> Any:
-        return RealTimeControllerNode(scenario, network, NoBus(), SYSTEM_CLOCK, PYTHON)  # type: ignore[arg-type]
-
     with pytest.raises(SilentNodeError):
-        driven(node(), Heard([]))
+        driven(scenario, network)
     feedback = network.feedback
     data = feedback.encode(0.0, 0)
     wide = feedback.extended
-    frames = [can.Message(arbitration_id=feedback.frame_id, is_extended_id=wide, data=data)]
+    frame = can.Message(arbitration_id=feedback.frame_id, is_extended_id=wide, data=data)
     if not tick:
-        assert driven(node(), Heard(3 * frames)) == 3
+        assert driven(scenario, network, *3 * [frame]) == 3
         return
     with pytest.raises(SilentNodeError):
-        driven(node(), Heard(frames))
+        driven(scenario, network, frame)
 
 
 def test_check_and_bus_say_what_the_frames_cannot(tmp_path):
