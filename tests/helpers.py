@@ -2,7 +2,9 @@
 
 import os
 import subprocess
+import threading
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,14 +22,14 @@ from can_rig.controllers.our_law import PYTHON
 from can_rig.controllers.protocol import Supplied
 from can_rig.errors import RigError, ScenarioError
 from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.runner import RunOptions, run_controller, run_in_process, run_plant
 from can_rig.nodes.ticks import NodeSummary
 from can_rig.nodes.without_bus import run_without_bus
 from can_rig.scenario.settings import Scenario
 from tests.processes import rig, start
 
 __all__ = ["DBC", "NAMES", "asked", "decoded", "on_a_bus", "on_no_bus", "record", "refused",
-           "refuses", "rig", "sets", "start", "succeeded"]  # fmt: skip
+           "refuses", "rig", "sets", "start", "succeeded", "two_nodes"]  # fmt: skip
 
 DBC = Path(__file__).parents[1] / "dbc"
 NAMES = (
@@ -85,6 +87,30 @@ def on_a_bus(
     """Both nodes in this process."""
     stop = StopRequest()
     return run_in_process(scenario, bus, log, stop, lambda tick: None, controller, **more)
+
+
+@contextmanager
+def two_nodes(
+    plant: Scenario, controller: Scenario, bus: str, log: Path | None, options: RunOptions
+) -> Iterator[dict[str, Future[NodeSummary]]]:
+    """Both nodes in threads; the block begins when the controller listens, which it does first."""
+    stop, ready = StopRequest(), threading.Event()
+
+    def run_the_plant() -> NodeSummary:
+        ready.wait()
+        return run_plant(plant, bus, log, stop, lambda tick: None, options)
+
+    with ThreadPoolExecutor() as threads:
+        run = controller, bus, stop, ready.set, lambda tick: None, options
+        listening = threads.submit(run_controller, *run)
+        listening.add_done_callback(lambda _: ready.set())
+        ended = {"controller": listening, "plant": threads.submit(run_the_plant)}
+        ready.wait()
+        try:
+            yield ended
+        except BaseException:
+            stop.wanted = True
+            raise
 
 
 def on_no_bus(scenario: Scenario, log: Path) -> NodeSummary:

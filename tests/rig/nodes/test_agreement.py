@@ -14,7 +14,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.controllers.our_law import PYTHON
-from can_rig.errors import BusError, RigError, ScenarioError
+from can_rig.errors import BusError, ScenarioError
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.comparison_frames import (
     ASKED,
@@ -26,41 +26,22 @@ from can_rig.frames.comparison_frames import (
 )
 from can_rig.nodes import runner
 from can_rig.nodes.agreement import ANSWERED_S, UNSETTLED_S, Agreement, keys_of, require_alone
-from can_rig.nodes.bus_access import StopRequest, Timeouts
-from can_rig.nodes.runner import RunOptions, run_controller, run_plant
+from can_rig.nodes.bus_access import Timeouts
+from can_rig.nodes.runner import RunOptions
 from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
 from tests.clock import TurnedClock, Wire
-from tests.helpers import DBC, NAMES, record, start
+from tests.helpers import DBC, NAMES, record, start, two_nodes
 from tests.rig.nodes.running import one_line
 
 SHORT = ["duration_s=0.3"]
 
 
 def both_by_hand(bus, plant, controller, log=None, real_time=False):
-    """The ends of two nodes in this process; the controller listens first."""
-    ended, ready = {}, threading.Event()
+    """How two nodes in this process ended."""
     chosen = RunOptions(real_time, by_hand=True, timeouts=Timeouts(20.0, 20.0), controller=PYTHON)
-
-    def run(name, node):
-        try:
-            ended[name] = node()
-        except RigError as error:
-            ended[name] = error
-
-    def plant_node():
-        ready.wait()
-        stop = StopRequest()
-        return run_plant(plant, bus, log, stop, lambda tick: None, chosen)
-
-    thread = threading.Thread(target=run, args=("plant", plant_node))
-    thread.start()
-    run("controller", lambda: run_controller(
-        controller, bus, StopRequest(), ready.set, lambda tick: None, chosen
-    ))  # fmt: skip
-    ready.set()
-    thread.join(60.0)
-    return ended
+    with two_nodes(plant, controller, bus, log, chosen) as nodes:
+        return {name: node.exception() or node.result() for name, node in nodes.items()}
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,7 @@
 """Faults of frames injected into two nodes on a bus: the log says what a scenario would say."""
 
 import os
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,14 +14,11 @@ from can_rig.errors import RigError
 from can_rig.frames import operator_frames
 from can_rig.frames.operator_frames import Command
 from can_rig.logs.reading import read_log
-from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.interaction import Interaction
 from can_rig.nodes.operating import done, operate, touches
-from can_rig.nodes.runner import run_controller, run_plant
 from can_rig.scenario.build import network_of
 from can_rig.scenario.fault_settings import FaultSettings
-from can_rig.scenario.settings import Scenario
-from tests.helpers import on_a_bus
+from tests.helpers import on_a_bus, two_nodes
 from tests.vcan import PATIENT, TIMEOUT_S
 
 TOLD = (
@@ -49,32 +43,8 @@ TO_SENSORS = (
 )  # fmt: skip
 
 
-@contextmanager
-def two_nodes(scenario: Scenario, bus: str, log: Path) -> Iterator[None]:
-    """A run that can be touched, on a bus; the block begins with it, and it ends by itself."""
-    stop, ready = StopRequest(), threading.Event()
-    interaction = Interaction(injectable=True, pace=0.05)  # until somebody pauses it
-    options = replace(PATIENT, interaction=interaction)
-
-    def controller() -> None:
-        run_controller(scenario, bus, stop, ready.set, lambda _: None, options)
-
-    def plant() -> None:
-        ready.wait(TIMEOUT_S)
-        run_plant(scenario, bus, log, stop, lambda _: None, options)
-
-    threads = [threading.Thread(target=each) for each in (controller, plant)]
-    for thread in threads:
-        thread.start()
-    try:
-        ready.wait(TIMEOUT_S)
-        yield
-    except BaseException:
-        stop.wanted = True
-        raise
-    finally:
-        for thread in threads:
-            thread.join(TIMEOUT_S)
+TOUCHABLE = replace(PATIENT, interaction=Interaction(injectable=True, pace=0.05))
+"""Until somebody pauses it."""
 
 
 def wait_for(bus: can.BusABC, frame_id: int) -> None:
@@ -106,7 +76,8 @@ def test_further_sensors_fail_at_both_nodes_too(tmp_path):
 
 def test_a_sensor_that_the_scenario_lacks_does_not_fail(tmp_path):
     scenario, bus = load("ideal", ["duration_s=0.1", "fault.kind=none"]), f"local:{os.getpid()}-no"
-    with two_nodes(scenario, bus, tmp_path / "bus.log"), open_bus(bus) as operator:
+    log = tmp_path / "bus.log"
+    with two_nodes(scenario, scenario, bus, log, TOUCHABLE), open_bus(bus) as operator:
         wait_for(operator, operator_frames.identifiers().state)
         with pytest.raises(RigError, match="refused"):
             operate(operator, bus, Command("INJECT", "sensor-invalid", YAW))
@@ -124,10 +95,11 @@ def frames_fail_as_in_a_scenario(
     """A run that is touched, against one with the faults of its log, and one of its log."""
     scenario = load(name, ["duration_s=0.4", "fault.kind=none"])
     log, other = tmp_path / "bus.log", tmp_path / "scheduled.log"
-    with two_nodes(scenario, bus, log), open_bus(bus) as operator:
+    with two_nodes(scenario, scenario, bus, log, TOUCHABLE) as nodes, open_bus(bus) as operator:
         wait_for(operator, operator_frames.identifiers().state)
         for command in commands:
             operate(operator, bus, command)
+    assert not any(node.exception() for node in nodes.values())
     told = tuple(touches(read_log(log), network_of(scenario)))
     what = done(scenario, told).scenario
     assert [(each.kind, each.place) for each in what.faults] == [
