@@ -36,7 +36,7 @@ arrival of the later command over the tick, rounded up: 1 where the exchange fit
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import chain, pairwise
@@ -274,7 +274,13 @@ def network_timing(
     plant = inputs + [_of_tick(*each) for each in further.values()]
     commands = [_of_tick(codec, tick) for codec in (network.command_1, network.command_2)]
     answers = [*commands, _of_tick(network.status, tick)]
-    frames = _outranked(_apart(plant, answers, bitrate, compute), inputs, plant, answers)
+    # The two groups, each by itself on the bus.
+    measured = response_times(plant, bitrate)
+    release = (_latest(measured) or 0) + compute
+    answered = [replace(f, release_s=release) for f in response_times(answers, bitrate)]
+    behind = max(*(frame.priority for frame in inputs), min(frame.priority for frame in answers))
+    overtaken = {frame.name for frame in plant if frame.priority > behind}
+    frames = _outranked([*measured, *answered], overtaken)
     last = _latest(frames)
     if last is None or last > tick:
         frames = _together(plant, answers, bitrate, compute)
@@ -353,31 +359,12 @@ def _of_dbc(message: DbcMessage, cycle_time_ms: int, switches: bool) -> Periodic
     return PeriodicFrame(message.name, message.frame_id, bits, period_s, extended=extended)
 
 
-def _apart(
-    plant: Sequence[PeriodicFrame],
-    answers: Sequence[PeriodicFrame],
-    bitrate: int,
-    compute: Fraction,
-) -> list[FrameTiming]:
-    """The two groups, each by itself on the bus."""
-    measured = response_times(plant, bitrate)
-    release = (_latest(measured) or 0) + compute
-    return [*measured, *(replace(f, release_s=release) for f in response_times(answers, bitrate))]
-
-
-def _outranked(
-    frames: Sequence[FrameTiming],
-    inputs: Sequence[PeriodicFrame],
-    plant: Sequence[PeriodicFrame],
-    answers: Sequence[PeriodicFrame],
-) -> list[FrameTiming]:
+def _outranked(frames: Sequence[FrameTiming], overtaken: Container[str]) -> list[FrameTiming]:
     """The two groups, where the answers overtake further sensors that wait behind the inputs.
 
     Such a frame is queued at the start of the tick and the bus is never idle before it is sent, so
     every other frame of the tick at most comes first.
     """
-    behind = max(*(frame.priority for frame in inputs), min(frame.priority for frame in answers))
-    overtaken = {frame.name for frame in plant if frame.priority > behind}
     whole = sum((frame.transmission_s for frame in frames), Fraction(0))
     return [
         replace(frame, response_s=whole)
