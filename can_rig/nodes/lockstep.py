@@ -348,9 +348,7 @@ class ControllerNode(AnsweringNode):
         self._reference_now = NO_REFERENCE
         self._speed_now = math.nan
         self._expected: int | None = None  # the first contact sets the tick
-        self._first_reference: can.Message | None = None
-        self._first_speed: can.Message | None = None
-        self._first_witnesses: dict[int, can.Message] = {}
+        self._first: dict[int, can.Message] = {}  # heard before the first contact, by identifier
 
     def _restart(self, state_survives: bool) -> None:
         """See ``AnsweringNode``."""
@@ -383,8 +381,9 @@ class ControllerNode(AnsweringNode):
         """See ``AnsweringNode``."""
         if self._expected is None and not self._first_contact(message):
             return False
-        if self._end.is_speed(message):
-            self._take_speed(message)
+        if self._end.is_speed(message):  # without such a frame the controller keeps the last speed
+            record = self._end.speed_of(message, self._expected)
+            self._speed_now = self._speed_now if record is None else record.value
         elif self._end.witnesses.concerns(message):
             self._end.witnesses.take(message, self._expected)
         elif message.arbitration_id == self._end.reference.codec.frame_id:
@@ -407,31 +406,22 @@ class ControllerNode(AnsweringNode):
         reference, feedback = self._end.reference, self._end.feedback
         if message.arbitration_id == reference.codec.frame_id:
             if Receiver(reference.codec).accept(message) is not None:
-                self._first_reference = message
-        elif self._end.is_speed(message):
-            self._first_speed = message
-        elif self._end.witnesses.concerns(message):
-            self._first_witnesses[message.arbitration_id] = message
-        elif message.arbitration_id == feedback.codec.frame_id and self._first_reference:
-            pair = ((reference, self._first_reference), (feedback, message))
+                self._first[message.arbitration_id] = message
+        elif self._end.is_speed(message) or self._end.witnesses.concerns(message):
+            self._first[message.arbitration_id] = message
+        elif message.arbitration_id == feedback.codec.frame_id and (
+            first := self._first.get(reference.codec.frame_id)
+        ):
+            pair = ((reference, first), (feedback, message))
             one, other = (Receiver(receiver.codec).accept(frame) for receiver, frame in pair)
             if one is not None and other is not None and one.tick == other.tick:
-                reference.accept(self._first_reference, one.tick)
                 self._reference_now, self._expected = one, one.tick
                 while self._outages and self._outages[0].stop <= tick_from(one.tick, self._tick):
                     self._outages.popleft()  # of before the start of a log
-                if self._first_speed is not None:
-                    self._take_speed(self._first_speed)
-                for earlier in self._first_witnesses.values():
-                    self._end.witnesses.take(earlier, one.tick)
+                for earlier in self._first.values():
+                    self._receive(earlier)
                 return True
         return False
-
-    def _take_speed(self, message: can.Message) -> None:
-        """Note the speed of this tick; without a frame, the controller keeps the last speed."""
-        record = self._end.speed_of(message, self._expected)
-        if record is not None:
-            self._speed_now = record.value
 
     @property
     def expected(self) -> int | None:
