@@ -299,11 +299,8 @@ class PlantRecorder:
         """Note the signals of ``tick``, the same ones in each."""
         if not self._names:
             self._write_names(signals)
-        if tuple(signals) == self._names:
-            self._write_rows([(tick, *signals.values())])
-        else:
-            values = (signals.get(name, math.nan) for name in self._names)
-            self._write_rows([(tick, *values)])
+        values = (signals.get(name, math.nan) for name in self._names)
+        self._write_rows([(tick, *values)])
 
     def record_columns(self, first_tick: int, columns: Mapping[str, FloatArray]) -> None:
         """Note the signals of the ticks from ``first_tick`` on, (ticks,) each."""

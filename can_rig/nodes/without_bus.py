@@ -137,17 +137,9 @@ class RunWithoutBus:
                 (network.command_2, trace.command_2, counts),
             )
         ]
-        frames.append(
-            payloads(
-                network.status,
-                trace.fault_estimate[some],
-                begin,
-                trace.mode[some],
-                trace.fault_state[some],
-                trace.verdict[some],
-                counts,
-            )
-        )
+        estimate, mode = trace.fault_estimate[some], trace.mode[some]
+        state, verdict = trace.fault_state[some], trace.verdict[some]
+        frames.append(payloads(network.status, estimate, begin, mode, state, verdict, counts))
         witnesses, witnessed = self._witnessed(ticks)
         frames[:0] = witnesses
         if network.speed is not None and inputs.speed is not None:
