@@ -116,34 +116,22 @@ def carry(
 
 @firmware_run
 def run_ticks(
-    tables: Records[Table],
-    controllers: Records[State],
-    inputs: Any,
-    grid: Any,
-    actuators: Any,
-    signals: Any,
-    states: Any,
-    begin: int,
-    end: int,
-    y: float,
-    read: float,
-    plant: Any,
-    memory: Any,
+    loop: Any, begin: int, end: int, y: float, read: float, plant: Any, memory: Any,
     plant_states: Any,
-) -> tuple[float, float]:
+) -> tuple[float, float]:  # fmt: skip
     """Ticks from ``begin`` to ``end`` of a loop with a ``SampledPlant``.
 
-    The other arguments are those of ``tick`` and of ``follow``. ``plant_states`` (ticks, n) is
-    filled in, unless it is empty.
+    The other arguments are those of ``run_changing`` and of ``follow``. ``plant_states`` (ticks, n)
+    is filled in, unless it is empty.
     """
-    effectiveness = inputs[3]
+    tables, controllers, inputs, grid, actuators, signals, states = loop
+    left = inputs[3]
     for k in range(begin, end):
         u1, u2 = tick(tables, controllers, inputs, grid, actuators, signals, states, k, y, read)
         if len(plant_states) > 0:
             for i in range(plant_states.shape[1]):
                 plant_states[k, i] = memory[0][i]
-        left_1, left_2 = effectiveness[k, 0], effectiveness[k, 1]
-        y, read = follow(plant, memory, k, u1, u2, left_1, left_2)
+        y, read = follow(plant, memory, k, u1, u2, left[k, 0], left[k, 1])
     return y, read
 
 

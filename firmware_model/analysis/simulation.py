@@ -260,22 +260,18 @@ class Simulation:
             self._speeds[1].view(np.uint8)[...] = 0
 
     def _run(self, end: int) -> None:
-        plant = self._plant
+        if end <= self.done:
+            return
+        plant, output = self._plant, self._output
         ours = self._other is None and self._hears is None
         if isinstance(plant, SampledPlant) and ours:
-            if end > self.done:
-                self._output = run_ticks(
-                    *self._loop, self.done, end, *self._output, plant.constants, self._memory,
-                    self.plant_states,
-                )  # fmt: skip
-                self.done = end
-            return
-        if isinstance(plant, LoopPlant) and ours and self._speed is None:
-            if end > self.done:
-                loop = partial(run_changing, self._loop)
-                self._output = plant.run_loop(loop, self.done, end, self._output)
-                self.done = end
-            return
+            of_plant = plant.constants, self._memory, self.plant_states
+            self._output = run_ticks(self._loop, self.done, end, *output, *of_plant)
+            self.done = end
+        elif isinstance(plant, LoopPlant) and ours and self._speed is None:
+            loop = partial(run_changing, self._loop)
+            self._output = plant.run_loop(loop, self.done, end, output)
+            self.done = end
         effectiveness, sensed = self.inputs[3], plant if isinstance(plant, SensedPlant) else None
         while self.done < end:
             k = self.done
