@@ -123,9 +123,8 @@ class RunControl:
         """Obey the pending commands before ``tick``."""
         asked, self._asked = self._asked, []
         for number, command in asked:
-            self._send(
-                operator_frames.taken_message(command, number)
-            )  # the controller's frames fail too
+            # The controller's frames fail too.
+            self._send(operator_frames.taken_message(command, number))
             if not self._does(command, tick):
                 self.refused += 1
         if asked:

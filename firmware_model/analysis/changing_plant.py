@@ -71,10 +71,9 @@ NO_WORLD: Final[FloatArray] = np.zeros((0, WORLD_ROW))
 
 CAR_STATES: Final = 4  # the first; only their columns depend on the road
 SHARES: Final = 4  # μ_f - 1, μ_r - 1, s - 1 and (μ_f - 1)(s - 1)
-BEHIND_A: Final = (
-    3  # rows behind A: of the reading, the output before the sensor, the acceleration;
-)
-# then those of further sensors
+BEHIND_A: Final = 3
+"""Rows behind A: of the reading, the output before the sensor, the acceleration; then those of
+further sensors."""
 
 
 @dataclass(frozen=True)

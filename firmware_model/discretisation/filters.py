@@ -239,9 +239,8 @@ class Filter:
         self._cascades["n"] = len(stored)
         self._cascades["coefficients"][0, : len(stored)] = stored
         self._cascades.flags.writeable = False
-        self.cascade: biquad.Constants = self._cascades[
-            0
-        ]  # a record taken earlier could still be written
+        # A record taken earlier could still be written.
+        self.cascade: biquad.Constants = self._cascades[0]
         self._states = zeroed(biquad.State, precision)
 
     def in_precision(self, precision: Precision) -> Filter:
@@ -284,17 +283,9 @@ class Filter:
         b, a = rows[:, :3] / rows[:, 3:4], rows[:, 3:] / rows[:, 3:4]
         given = [Polynomials(*pair) for pair in zip(b, a, strict=True)]
         first = (b[:, 2] == 0.0) & (a[:, 2] == 0.0)  # z/z cancels: a section of first order
-        one = np.ones_like(b[:, 0])
-        delta = np.stack(
-            [
-                b[:, 0],
-                np.where(first, 1.0, 2.0) * b[:, 0] + b[:, 1],
-                np.where(first, 0.0, b.sum(axis=1)),
-                np.where(first, 1.0, 2.0) * one + a[:, 1],
-                np.where(first, 0.0, (1.0 + a[:, 1]) + a[:, 2]),
-            ],
-            axis=1,
-        )
+        powers = np.where(first, 1.0, 2.0)
+        b_at_1, a_at_1 = np.where(first, 0.0, [b.sum(axis=1), (1.0 + a[:, 1]) + a[:, 2]])
+        delta = np.stack([b[:, 0], powers * b[:, 0] + b[:, 1], b_at_1, powers + a[:, 1], a_at_1], 1)
         delta[0, :3] *= factor.prod()
         return _of_coefficients(Sections(delta, _tick(tick_s)), precision, given)
 

@@ -319,10 +319,8 @@ Values = tuple[float, int, float, int]  # τ, α, τ_q, α_q
 E6 = (1.0, 1.5, 2.2, 3.3, 4.7, 6.8)  # preferred numbers, a factor of about 1.5 apart
 E12 = (1.0, 1.2, 1.5, 1.8, 2.2, 2.7, 3.3, 3.9, 4.7, 5.6, 6.8, 8.2)
 TAU_TICKS = (0.1, 10.0)  # smallest and largest of the grid, in ticks
-RESPONSE_TICKS, RESPONSE_S = (
-    20.0,
-    0.05,
-)  # largest lag of D* behind the reference, α_q τ_q: the longer
+# Largest lag of D* behind the reference, α_q τ_q: the longer.
+RESPONSE_TICKS, RESPONSE_S = 20.0, 0.05
 OF_ZERO = 0.05, 2.0  # and where a zero lies right of the axis at z: of 1/|z|, which F̂ cannot beat
 RESPONSE_OF_ZERO = 10.0  # nor can C
 HELD = 10.0  # times as slow where C has to hold the plant, in spite of all delays

@@ -78,7 +78,6 @@ class RealTimePlantNode:
         self._sent_ns = [0] * self._latency_ticks
         self._schedule = Schedule(clock.now_ns(), scenario.tick_ns)
         self._guard_ns = min(GUARD_NS, scenario.tick_ns // 4)
-        self._waits = True  # for the controller's first answer
         self._ended = False
         self._answered = False  # the status of tick 0 has come
         self._heard_ns = 0
@@ -95,9 +94,8 @@ class RealTimePlantNode:
         """
         if self._ended:
             raise Interrupted
-        if self._waits:
+        if not self._answered:
             self._meet(watchdog)
-            self._waits = False
             self._schedule = Schedule(self._clock.now_ns(), self._schedule.tick_ns)
             self._heard_ns = self._schedule.start_ns
             self._follow(tick)
