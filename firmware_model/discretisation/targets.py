@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from firmware_model.design.actuator_dynamics import Stage
@@ -12,6 +13,17 @@ from firmware_model.errors import ParameterError
 from firmware_model.law.structs import MAX_LATENCY_TICKS, Precision
 
 HOUR_S = 3600.0
+
+RANGES: tuple[tuple[str, Callable[[float], bool], str], ...] = (
+    ("latency_ticks", lambda x: 0 <= x <= MAX_LATENCY_TICKS, f"0 to {MAX_LATENCY_TICKS}"),
+    ("limit_1 limit_2 rate_1 rate_2 reference_acceleration", lambda x: x > 0.0, "above 0"),
+    ("false_alarms_per_hour suspicions_per_hour", lambda x: 0.0 < x < math.inf,
+     "finite and above 0"),
+    ("lsb_1 lsb_2 noise_rms disturbance resolution safe_stop_s blind_s",
+     lambda x: 0.0 <= x < math.inf, "finite and 0 or above"),
+    ("noise_pole", lambda x: 0.0 <= x < 1.0, "0 or above, below 1"),
+)  # fmt: skip
+"""Of the numbers of a target: which mean something, and in words."""
 
 
 @dataclass(frozen=True)
@@ -123,33 +135,10 @@ class Target:
         if self.estimator not in RULE_NAMES:
             rules = ", ".join(RULE_NAMES)
             raise ParameterError(f"estimator = {self.estimator!r}: must be one of {rules}")
-        if not 0 <= self.latency_ticks <= MAX_LATENCY_TICKS:
-            raise ParameterError(
-                f"latency_ticks = {self.latency_ticks}: must be 0 to {MAX_LATENCY_TICKS}"
-            )
-        for name in ("limit_1", "limit_2", "rate_1", "rate_2", "reference_acceleration"):
-            if not getattr(self, name) > 0.0:
-                raise ParameterError(f"{name} = {getattr(self, name):g}: must be above 0")
-        for name in ("false_alarms_per_hour", "suspicions_per_hour"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ParameterError(
-                    f"{name} = {getattr(self, name):g}: must be finite and above 0"
-                )
-        for name in (
-            "lsb_1",
-            "lsb_2",
-            "noise_rms",
-            "disturbance",
-            "resolution",
-            "safe_stop_s",
-            "blind_s",
-        ):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise ParameterError(
-                    f"{name} = {getattr(self, name):g}: must be finite and 0 or above"
-                )
-        if not 0.0 <= self.noise_pole < 1.0:
-            raise ParameterError(f"noise_pole = {self.noise_pole:g}: must be 0 or above, below 1")
+        for names, means_something, wanted in RANGES:
+            for name in names.split():
+                if not means_something(value := getattr(self, name)):
+                    raise ParameterError(f"{name} = {value:g}: must be {wanted}")
 
     def evidence(self, per_hour: float) -> float:
         """The log-likelihood ratio that chance exceeds ``per_hour`` times an hour at most.
