@@ -69,10 +69,10 @@ def sets(*settings: str) -> list[str]:
 @contextmanager
 def refuses(
     text: str, kind: type[RigError] | tuple[type[RigError], ...] = ScenarioError
-) -> Iterator[None]:
+) -> Iterator[pytest.ExceptionInfo[RigError]]:
     """The block must raise a refusal of one line with ``text``."""
     with pytest.raises(kind) as caught:
-        yield
+        yield caught
     assert text in str(caught.value)
     assert "\n" not in str(caught.value)
 

@@ -12,7 +12,7 @@ from can_rig.assessment.resolve import load
 from can_rig.errors import DbcError
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import draft
-from tests.helpers import asked, succeeded
+from tests.helpers import asked, refuses, succeeded
 
 FOREIGN = """VERSION ""
 BS_:
@@ -102,9 +102,8 @@ def test_a_dbc_with_the_usual_slips_is_mended(foreign):
 def test_a_file_that_is_no_dbc_is_one_line(tmp_path):
     (tmp_path / "x.dbc").write_text("not a DBC")
     for path, reason in (("x.dbc", "not a DBC"), ("missing.dbc", "cannot be read"), (".", "read")):
-        with pytest.raises(DbcError, match=reason) as caught:
+        with refuses(reason, DbcError):
             dbc_timing(tmp_path / path, 500_000)
-        assert "\n" not in str(caught.value)
 
 
 def test_a_scenario_takes_its_latency_from_the_bus():

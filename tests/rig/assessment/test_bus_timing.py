@@ -22,7 +22,7 @@ from can_rig.frames.foreign_frames import FD_LENGTHS
 from can_rig.frames.network import load_network
 from can_rig.scenario.build import network_of
 from tests.drawn_frames import frames
-from tests.helpers import DBC
+from tests.helpers import DBC, refuses
 from tests.rig.assessment.simulated_bus import simulate
 from tests.rig.assessment.wire import bits_of, classic, flexible
 
@@ -69,9 +69,8 @@ def test_latency_is_whole_ticks_to_the_arrival_of_the_later_command(
     assert timing.latency_ticks == expected
     assert timing.schedulable == (expected is not None)
     if expected is None:
-        with pytest.raises(TimingError, match="or the tick longer") as caught:
+        with refuses("or the tick longer", TimingError):
             latency_ticks(STEER_BY_WIRE, bitrate, tick_s, compute_s)
-        assert "\n" not in str(caught.value)
         return
     assert latency_ticks(STEER_BY_WIRE, bitrate, tick_s, compute_s) == expected
     arrival = max(timing.frames[2].arrival_s, timing.frames[3].arrival_s)

@@ -16,6 +16,7 @@ from can_rig.assessment.bus_timing import (
     utilisation,
 )
 from can_rig.assessment.frame_length import FrameBits, FrameError, worst_case_bits
+from tests.helpers import refuses
 from tests.rig.assessment.simulated_bus import simulate
 
 BITS = worst_case_bits(7)  # 125 with the intermission: 1 ms at 125 kbit/s
@@ -217,9 +218,8 @@ def test_floats_are_the_decimals_that_they_print_as():
     ],
 )  # fmt: skip
 def test_what_cannot_be_analysed_is_refused_in_one_line(frames):
-    with pytest.raises(AnalysisError, match="must") as caught:
+    with refuses("must", AnalysisError):
         response_times(frames, 125_000)
-    assert "\n" not in str(caught.value)
 
 
 def test_no_frames_need_no_time():

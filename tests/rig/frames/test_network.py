@@ -9,6 +9,7 @@ from can_rig.errors import DbcError, RigError
 from can_rig.frames.codec import ROLES
 from can_rig.frames.network import load_network
 from firmware_model.law.status import FaultState, Mode, Verdict
+from tests.helpers import refuses
 from tests.rig.frames.codecs import STEER_BY_WIRE
 
 
@@ -126,12 +127,9 @@ def test_bad_dbc_is_refused_with_its_reason(old, new, reason, tmp_path):
     assert old in text
     path = tmp_path / "bad.dbc"
     path.write_text(text.replace(old, new))
-    with pytest.raises(DbcError) as caught:
+    with refuses(reason, DbcError) as caught:
         load_network(path)
-    message = str(caught.value)
-    assert reason in message
-    assert message.startswith(str(path))
-    assert "\n" not in message
+    assert str(caught.value).startswith(str(path))
     assert isinstance(caught.value, RigError)
 
 

@@ -9,6 +9,7 @@ from hypothesis import given, strategies as st
 from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
 from can_rig.scenario.reference import LANE_CHANGE_S, lane_change, reference
+from tests.helpers import refuses
 
 
 @given(st.floats(-20, 20), st.floats(0.1, 50.0), st.integers(1, 300))
@@ -119,10 +120,7 @@ BAD = {
     "milliseconds since 1970": (b"1763880000000,1\n", "line 1: 1763880000000 s: must be seconds"),
     "begins after the run": (b"20,1\n21,2\n", "begins at 20 s, and the run ends at 20 s"),
     "time stands still": (b"1,2\n1,3\n", "line 2: 1 s after 1 s: times must increase"),
-    "beyond any frame": (
-        b"1,2\n2,-1e300\n",
-        r"\|reference_mps2\| = 1e\+300: must be at most 1e\+06",
-    ),
+    "beyond any frame": (b"1,2\n2,-1e300\n", "|reference_mps2| = 1e+300: must be at most 1e+06"),
     "time runs back": (b"2,2\n1,3\n", "times must increase"),
     "not text": (b"\xff\xfe1,2", "must be text in UTF-8"),
 }
@@ -130,12 +128,11 @@ BAD = {
 
 @pytest.mark.parametrize(("data", "reason"), BAD.values(), ids=BAD.keys())
 def test_a_bad_csv_is_one_line_that_names_the_file(data, reason, tmp_path, recwarn):
-    with pytest.raises(ScenarioError, match=reason) as caught:
+    with refuses(reason) as caught:
         from_csv(tmp_path, data)
     message = str(caught.value)
     assert message.startswith("scenario thesis-step: reference.file = ")
     assert str(tmp_path / "r.csv") in message
-    assert "\n" not in message
     assert not list(recwarn)
 
 

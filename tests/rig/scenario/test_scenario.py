@@ -212,11 +212,9 @@ def test_a_list_too_deep_in_a_setting_is_one_line():
 def test_a_bad_file_is_one_line(text, reason, tmp_path):
     path = tmp_path / "bad.toml"
     path.write_bytes(text)
-    with pytest.raises(ScenarioError) as caught:
+    with refuses(reason) as caught:
         load(str(path))
-    assert reason in str(caught.value)
     assert str(caught.value).startswith(f"scenario {path}") or "scenario bad" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 CAR = [field.name for field in dataclasses.fields(VehicleParameters)]
