@@ -425,8 +425,9 @@ def _of_the_torque(
 def detection_of(scenario: Scenario, signals: Signals, at: int) -> Detection:
     """The detection of the fault number ``at``.
 
-    A loss is missed unless a confirmation begins in the loss and stands at its end. After a false
-    alarm that still stands, a compensated loss is not missed.
+    A loss is missed unless a confirmation begins in the loss and stands at its end. A compensated
+    loss is not missed after a false alarm that still stands, nor if the last verdict names the
+    torque: what an echo tells is compensated without a confirmation.
 
     Raises:
         AssertionError: an impossible delay; the message names the run.
@@ -449,11 +450,12 @@ def detection_of(scenario: Scenario, signals: Signals, at: int) -> Detection:
     if said[last] and delay_s is not None:
         return Detection(suspected_s, delay_s, missed_detection=False)
     begun = int(np.flatnonzero(_begins(said)[: last + 1])[-1]) if said[last] else last
-    if said[last] and not shown[begun]:
-        if _known_already(scenario, signals, at, begun):
-            return Detection()
-        if _compensated(scenario, signals, _there(scenario, signals, fault)):
-            return Detection(suspected_s, None, missed_detection=False)
+    stands = said[last] and not shown[begun]
+    if stands and _known_already(scenario, signals, at, begun):
+        return Detection()
+    known = stands or (fault.place == TORQUE and _names_torque(signals, last))
+    if known and _compensated(scenario, signals, _there(scenario, signals, fault)):
+        return Detection(suspected_s, None, missed_detection=False)
     return Detection(suspected_s, None, _could_show(scenario, signals, at) or None)
 
 
@@ -487,6 +489,12 @@ def _claims(signals: Signals, place: str) -> Mask:
     if signals.verdict is None:
         return np.zeros(len(signals), dtype=np.bool_)
     return _among(_held(signals.verdict), Verdict.FORCE_LOST, Verdict.BOTH_LOST)
+
+
+def _names_torque(signals: Signals, tick: int) -> bool:
+    """Whether the verdict of a tick names the torque, as a believed echo does."""
+    of_torque = (Verdict.TORQUE_LOST, Verdict.TORQUE_OFFSET, Verdict.BOTH_LOST)
+    return signals.verdict is not None and bool(_held(signals.verdict)[tick] in of_torque)
 
 
 def _suspicions(signals: Signals) -> Mask:

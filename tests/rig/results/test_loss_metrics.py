@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from can_rig.api import load_scenario
 from can_rig.assessment.resolve import load
 from can_rig.results import metrics as module
 from can_rig.results.counterfactual import signals_without_log
@@ -164,6 +165,26 @@ def test_a_standing_false_alarm_finds_a_loss_only_where_it_compensates():
         missed[compensation] = (values["missed_detection"], signals.error_mps2[-1])
     assert missed["on-confirmation"] == (False, pytest.approx(0.0, abs=0.05))
     assert missed["off"] == (True, pytest.approx(1.0, abs=0.05))
+
+
+def test_a_loss_that_an_echo_tells_without_a_confirmation_is_missed_only_uncompensated():
+    """Half of the torque is lost while the reference sweeps from 0.1 to 1.3 Hz."""
+    time_s = np.arange(0.0, 12.0, 0.001)
+    sweep = np.sin(2.0 * np.pi * (0.1 * time_s + 0.0483 * time_s**2))
+    missed = {}
+    for compensation in ("on-confirmation", "off"):
+        scenario = load_scenario("cluster", {
+            "duration_s": 12, "fault.at_s": 5, "fault.left": 0.5,
+            "reference.kind": "samples", "reference.samples_mps2": sweep,
+            "design.compensation": compensation,
+        })  # fmt: skip
+        signals = signals_without_log(scenario)
+        assert signals.verdict[-1] == Verdict.TORQUE_LOST
+        assert signals.fault_state[-1] != CONFIRMED
+        values = metrics(scenario, signals)
+        assert values["detection_delay_s"] is None
+        missed[compensation] = values["missed_detection"]
+    assert missed == {"on-confirmation": False, "off": True}
 
 
 def test_of_two_losses_the_one_that_is_missed_decides_and_the_longest_delay():
