@@ -34,12 +34,21 @@ SECONDS, HH_MM_SS = "seconds", "hh:mm:ss"
 CLOCK: Final = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:\.\d+)?)")
 DAY_S: Final = 86400.0
 
-WORDS: Final = re.compile(r"[a-z]+(?:/[a-z]+)?")
+WORDS: Final = re.compile(r"[a-zµμ]+(?:/[a-z]+)?")
 SPLIT_UNIT: Final = re.compile(r"(km|mi|m)[ _.](h|s)(?![a-z])")
+ACCELERATION: Final = re.compile(r"(?:m/s|mps|k?m/h|k[mp]h)(?:\^?-?[2²]|/s)")
+"""Units that begin like the unit of a speed, in lower case."""
 TIME_WORDS: Final = frozenset(
     ("time", "t", "timestamp", "date", "datetime", "clock", "utc", "second", "seconds")
 )
-SECONDS_PER: Final = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+SECONDS_PER: Final = {
+    **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "micros", "microseconds"), 1e-6),
+    **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("min", "minutes"), 60.0),
+    **dict.fromkeys(("h", "hours"), 3600.0),
+}
+"""Of the units of time that a header may say; the prefix is the micro sign or the Greek letter."""
 
 
 class Column(NamedTuple):
@@ -302,7 +311,8 @@ def _says_another(said: str, name: str) -> bool:
 
 def _named_layout(where: str, cells: Sequence[str], columns: Sequence[Column]) -> _Layout:
     """The places of the columns, by the words and units of a header."""
-    words = [WORDS.findall(SPLIT_UNIT.sub(r"\1/\2", cell.lower())) for cell in cells]
+    plain = (ACCELERATION.sub("", SPLIT_UNIT.sub(r"\1/\2", cell.lower())) for cell in cells)
+    words = [WORDS.findall(cell) for cell in plain]
     places, free = {}, set(range(len(cells)))
     for column in columns:
         exact = [at for at in sorted(free) if cells[at].lower() == column.name]

@@ -57,6 +57,26 @@ def test_the_header_says_the_unit(header, factor, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("unit", "factor"),
+    [("ms", 1e-3), ("msec", 1e-3), ("millis", 1e-3), ("milliseconds", 1e-3), ("µs", 1e-6),
+     ("\u03bcs", 1e-6), ("microseconds", 1e-6), ("ns", 1e-9), ("minutes", 60.0), ("hours", 3600.0)],
+)  # fmt: skip
+def test_the_header_says_the_unit_of_the_times(unit, factor, tmp_path):
+    profile = recorded(tmp_path, f"time ({unit}),speed_mps\n0,10\n2,11\n")
+    assert profile.time_s == pytest.approx([0.0, 2 * factor], rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    "header", ["acceleration_mps2", "a (m/s²)", "a [m/s^2]", "a_m_s2", "a m/s/s", "a (km/h/s)"]
+)
+def test_an_acceleration_is_no_speed(header, tmp_path):
+    profile = recorded(tmp_path, f"time_s,{header},speed_kmh\n0,1,36\n1,1,37.5\n")
+    assert profile.speed_mps == pytest.approx([10.0, 37.5 / 3.6], rel=1e-15)
+    with pytest.raises(ScenarioError, match="must have a column speed_mps"):
+        recorded(tmp_path, f"time_s,{header}\n0,3\n1,4\n")
+
+
+@pytest.mark.parametrize(
     "rows",
     [["0,10", "1.5,11", "3,12"], ["1777888800,10", "1777888801.5,11", "1777888803,12"],
      ["23:59:59,10", "00:00:00.5,11", "0:00:02,12"],
