@@ -8,12 +8,12 @@ import click
 from rich.table import Table
 
 from can_rig.cli.options import force_option, json_option, out_option, window_options
-from can_rig.cli.output import json_line, table, wide
+from can_rig.cli.output import json_line, note, table, wide
 from can_rig.logs.frames import window_of
 from can_rig.scenario.loading import read
 from can_rig.storage.files import atomic, refuse_picture
 from can_rig.views.diff import Difference, SettingDifference, compare, tolerances_of, written
-from can_rig.views.signal_table import SignalTable, read_table
+from can_rig.views.signal_table import SignalTable, read_part
 
 
 @click.command("diff")
@@ -59,7 +59,7 @@ def command(
     allowed = tolerances_of(tolerances)
     scenario = read(scenario_name).scenario
     window = window_of(from_s, to_s)
-    a, b = (read_table(path, scenario).within(window) for path in (run_a, run_b))
+    a, b = (read_part(path, scenario, window) for path in (run_a, run_b))
     difference = compare(a, b, allowed)
     if out is not None:
         from can_rig.views.pictures import difference_page  # noqa: PLC0415 (matplotlib)
@@ -70,7 +70,18 @@ def command(
         json_line(a=a.label, b=b.label, **difference.as_dict())
     else:
         print_difference(difference, (a.label, b.label), a)
+    for each in (a, b):
+        note(each.notice, _left_out(each))
     sys.exit(0 if difference.same else 1)
+
+
+def _left_out(run: SignalTable) -> str | None:
+    if not run.left_out:
+        return None
+    return (
+        f"{run.label}: {run.left_out} ticks are left out; they do not go on from those before, "
+        "as in another run, which --from chooses"
+    )
 
 
 def print_difference(difference: Difference, labels: tuple[str, str], a: SignalTable) -> None:

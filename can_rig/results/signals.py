@@ -60,6 +60,8 @@ class Signals:
     """The verdict on the fault, and the evidence; see ``results.isolation``."""
     sample_ages: PlantSignals = field(default_factory=dict)
     """Ticks since the sample of each heard sensor, by column."""
+    left_out: int = 0
+    """Intact feedback frames of other ticks than those under way, as of a second run."""
 
     @property
     def error_mps2(self) -> FloatArray:
@@ -75,7 +77,7 @@ class Signals:
         def part(values: Any) -> Any:
             if isinstance(values, dict):
                 return {name: column[rows] for name, column in values.items()}
-            return None if values is None else values[rows]
+            return values[rows] if isinstance(values, np.ndarray) else values
 
         return Signals(**{name: part(values) for name, values in vars(self).items()})
 
@@ -189,6 +191,7 @@ def signals_of(
         verdict=verdict,
         sensors=dict(zip(table.sensors, further, strict=False)),
         sample_ages=dict(zip(table.sample_ages, further[len(table.sensors) :], strict=True)),
+        left_out=table.left_out,
     )
 
 
@@ -225,6 +228,11 @@ class SignalRows:
     def tick(self) -> int:
         """The current tick; -1 before the first."""
         return self._tick
+
+    @property
+    def left_out(self) -> int:
+        """Intact feedback frames of other ticks than those under way."""
+        return self._receivers[OWN - 1].rejected.get("wrong_tick", 0)
 
     def take_complete(self) -> list[list[float]]:
         """Remove and return the rows of all ticks that no later frame can change."""

@@ -18,7 +18,7 @@ from can_rig.drawing.names import CAR, OF_SIGNALS, Names, column_names, in_words
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.columns import EVIDENCE_OF, ON_THE_BUS, VERDICT
 from can_rig.logs.compression import open_text, stored
-from can_rig.logs.frames import NS_PER_S, Window
+from can_rig.logs.frames import ALL, NS_PER_S, Window
 from can_rig.logs.reading import content_format, read_log
 from can_rig.results.run_folder import SIGNALS, recorded_scenario
 from can_rig.results.signals import Signals, cell, signals_of, with_plant_signals
@@ -43,6 +43,10 @@ class SignalTable:
     """(n,) by name, as in ``signals.csv``; nan in an empty cell."""
     scenario: Scenario | None = None
     """The executed scenario, if known."""
+    notice: str | None = None
+    """One line if the end of a log is missing."""
+    left_out: int = 0
+    """Feedback frames of a log that do not go on from those before."""
 
     @property
     def time_s(self) -> FloatArray:
@@ -110,12 +114,28 @@ def _title(table: SignalTable, parts: tuple[str, ...]) -> str:
     return name if table.scenario is None else f"{name} ({table.scenario.name})"
 
 
-def read_table(path: Path, scenario: Scenario) -> SignalTable:
+def read_part(path: Path, scenario: Scenario, window: Window) -> SignalTable:
+    """A part of what ``read_table`` reads; of a log with several runs, the run of that part.
+
+    Raises:
+        LogError: as ``read_table``, or the part has no rows.
+    """
+    table = read_table(path, scenario)
+    try:
+        return table.within(window)
+    except LogError:
+        if not table.left_out:
+            raise
+    return read_table(path, scenario, window)
+
+
+def read_table(path: Path, scenario: Scenario, window: Window = ALL) -> SignalTable:
     """A run folder, its ``signals.csv``, or a log.
 
     Args:
         path: the path.
         scenario: describes the frames and the tick of a log.
+        window: the frames of a log to read.
 
     Raises:
         LogError: the path is none of the three, or cannot be read.
@@ -127,12 +147,13 @@ def read_table(path: Path, scenario: Scenario) -> SignalTable:
         return _from_csv(file, str(path), scenario_of(path))
     if path.name.lower().removesuffix(".gz").endswith(".csv") and content_format(path) is None:
         return _from_csv(log_path(path), str(path), None)
-    log = read_log(log_path(path))
+    log = read_log(log_path(path), window=window)
     signals = signals_of(log, network_of(scenario), scenario.tick_s)
     signals = with_plant_signals(signals, log.path, scenario.tick_s)
     if not len(signals):
         raise LogError(f"{path}: has no usable frame of the rig")
-    return replace(table_of(signals, str(path), scenario), scenario=None)
+    table = table_of(signals, str(path), scenario)
+    return replace(table, scenario=None, notice=log.notice, left_out=signals.left_out)
 
 
 def table_of(signals: Signals, label: str, scenario: Scenario) -> SignalTable:

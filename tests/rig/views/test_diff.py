@@ -47,6 +47,25 @@ def test_the_same_run_twice_is_the_same(runs):
     assert json.loads(log.stdout)["rows"] == 300  # a log, though signals.csv is another .csv
 
 
+def test_what_diff_leaves_out_of_a_log_is_said(runs):
+    """A log of two runs: the first run, or the run after ``--from``; a log that is cut off."""
+    both = (runs / "a" / "bus.log").read_text() + (
+        (runs / "later" / "bus.log").read_text().replace("(0.", "(10.")
+    )
+    Path("both.log").write_text(both)
+    done = asked("diff", "both.log", "both.log")
+    assert "the same in all 300 rows" in done.stdout
+    note = "note: both.log: 299 ticks are left out; they do not go on"  # the last is a repetition
+    assert done.stderr.count(note) == 2
+    Path("later.log").write_text((runs / "later" / "bus.log").read_text())
+    done = asked("diff", "both.log", "later.log", "--json", "--from", "0.1")
+    assert done.returncode == 1 and json.loads(done.stdout)["rows"] == 200
+    Path("cut.log").write_text(both[:-9])
+    done = asked("diff", "both.log", "cut.log", "--from", "5")
+    assert done.returncode == 1 and "in 300 common rows" in done.stdout
+    assert "the file ends within this line" in done.stderr and "left out" not in done.stderr
+
+
 def test_a_later_fault_parts_them_at_the_fault(runs):
     done = asked("diff", runs / "a", runs / "later", "--out", "apart.png", "--json")
     assert done.returncode == 1
