@@ -221,6 +221,8 @@ class Log:
             raise LogError(f"{self.path}: there is no such file")
         if self.path.is_dir():
             raise LogError(f"{self.path}: is a folder; it must be a log file")
+        if not (self.format.gzipped or self.path.is_file()):
+            raise LogError(f"{self.path}: is a pipe; must be a file: only text is read in one pass")
         return self._within(self.format.read(self))
 
     def _within(self, chunks: Iterator[Frames]) -> Iterator[Frames]:

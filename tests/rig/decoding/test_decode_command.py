@@ -269,6 +269,15 @@ def test_an_empty_file_is_no_log(name, tmp_path):
     assert not (tmp_path / "a.csv").exists()
 
 
+def test_a_part_without_a_frame_gives_an_empty_table(tmp_path):
+    """The log itself is a log, as its other parts show."""
+    (tmp_path / "a.log").write_text("(1.000000) can0 123#00\n")
+    command = ("decode", tmp_path / "a.log", "--from", "5", "--out", tmp_path / "a.csv")
+    done = asked(*command)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(pd.read_csv(tmp_path / "a.csv")) == 0
+
+
 def test_unknown_identifiers_are_told_from_their_counts(tmp_path):
     (tmp_path / "a.log").write_text("(1.000000) can0 123#00\n(2.000000) can0 123#01\n")
     done = asked("decode", tmp_path / "a.log")

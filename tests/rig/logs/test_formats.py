@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import os
 import re
 
 import can
@@ -28,6 +29,13 @@ from tests.rig.logs.samples import (
     relative_ns,
 )
 from tests.rig.logs.test_carbus_microchip import CARBUS, MICROCHIP_LOG
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".mf4"])
+def test_a_binary_log_from_a_pipe_is_refused(tmp_path, suffix):
+    os.mkfifo(tmp_path / f"a{suffix}")
+    with pytest.raises(LogError, match=rf"a{suffix}: is a pipe; must be a file"):
+        concatenate(read_log(tmp_path / f"a{suffix}"))
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".trc", ".mf4"])
