@@ -306,7 +306,8 @@ def _layout_of(where: str, cells: Sequence[str], columns: Sequence[Column]) -> _
 def _says_another(said: str, name: str) -> bool:
     """Whether a column's header names another quantity or another unit than ``name``."""
     names_one = NAME.fullmatch(said) is not None and said.lower() != name
-    return names_one or OTHER_UNITS.search(said) is not None
+    times = name == TIME and not SECONDS_PER.keys().isdisjoint(WORDS.findall(said.lower()))
+    return names_one or times or OTHER_UNITS.search(said) is not None
 
 
 def _named_layout(where: str, cells: Sequence[str], columns: Sequence[Column]) -> _Layout:

@@ -76,6 +76,7 @@ GOOD = {
     "byte order mark and header": b"\xef\xbb\xbftime,r\n1,10\n2,30\n",
     "comments and empty lines": b"# a ramp\n\n1,10\n\n2,3e1\n",
     "no last line end": b"1,10\n2,30",
+    "another quantity by the minute": b"time,flow in l/min\n1,10\n2,30\n",
     "decimal commas": b"time;r\n1,0;10,0\n2,0;30,0\n",
 }
 
@@ -114,6 +115,8 @@ BAD = {
     "a gap": (b"t,r\n\n1,2\n2,\n", "line 4: '2,': must be two finite numbers"),
     "points": (b"1.2\n2.3\n", "line 1: '1.2': must be two finite numbers"),
     "milliseconds": (b"time_ms,r\n0,2\n", "line 1: 'time_ms,r': must be time_s,reference_mps2"),
+    "microseconds": ("Time [µs],r\n0,2\n".encode(), "must be time_s,reference_mps2"),
+    "minutes": (b"time (min),r\n0,2\n", "must be time_s,reference_mps2"),
     "another signal": (b"time_s,speed_mps\n0,2\n", "must be time_s,reference_mps2"),
     "kilometres an hour": (b"t,v [km/h]\n0,2\n", "must be time_s,reference_mps2"),
     "the other way round": (b"reference_mps2,time_s\n1,0\n", "must be time_s,reference_mps2"),
