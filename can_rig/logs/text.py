@@ -100,7 +100,16 @@ class TextReader:
         """Make a new bus known to the parser: the bus of the line."""
 
     def heading(self, line: bytes) -> None:
-        """Interpret a heading, which may change how later lines are read."""
+        """Interpret a heading, which may change how later lines are read.
+
+        Here: the heading of a second log, whose times count from another start.
+
+        Raises:
+            LogError: a second log.
+        """
+        raise LogError(
+            f"{self.place()}: a second log begins here: {shown(line)}; must be a file of its own"
+        )
 
     def ended(self, line: bytes, frame: Frames) -> bool:
         """Whether a last line without its newline is complete.

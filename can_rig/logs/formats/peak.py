@@ -95,6 +95,7 @@ _DAYS_TO_1970: Final = 25569
 _US_PER_DAY: Final = 86_400_000_000
 _MOST_DAYS: Final = 53_000  # in the year 2115
 _NS_PER_DAY: Final = 1000 * _US_PER_DAY
+_FIRST_LINE = np.frombuffer(b";$fileversion", np.uint8)
 
 
 @compiled
@@ -106,7 +107,8 @@ def _line(text: UInt8s, at: int, columns: NDArray[np.int64], row: UInt8s) -> sca
     bus = 1
     is_dlc = bad = is_unmarked = False
     if scan.DIGIT[text[at]] >= scan.DECIMAL:
-        return scan.NO_FRAME, 0, 0, 0, 0, 0, begin
+        second = scan.same_word(text, begin, _FIRST_LINE)
+        return scan.HEADING if second else scan.NO_FRAME, 0, 0, 0, 0, 0, begin
     for place in range(len(columns)):
         column = columns[place]
         if column == _D:

@@ -49,6 +49,7 @@ _NS_DIGITS = 9
 _DATA, _REMOTE, _X = 100, 114, 120
 _CANFD = np.frombuffer(b"canfd", np.uint8)
 _ERROR_FRAME = np.frombuffer(b"errorframe", np.uint8)
+_FIRST_LINE = np.frombuffer(b"date ", np.uint8)
 _TX, _RX = np.frombuffer(b"tx", np.uint8), np.frombuffer(b"rx", np.uint8)
 _EDL_FLAG, _REMOTE_FLAG = 1 << 12, 1 << 4
 _MOST = (1 << 32) - 1
@@ -68,7 +69,8 @@ def _line(text: UInt8s, at: int, bases: NDArray[np.int64], row: UInt8s) -> scan.
     time_ns, at = scan.fixed_point(text, at, _NS_DIGITS)
     at = scan.next_word(text, at)
     if at < 0:
-        return scan.NO_FRAME, 0, 0, 0, 0, 0, begin
+        second = scan.same_word(text, begin, _FIRST_LINE)
+        return scan.HEADING if second else scan.NO_FRAME, 0, 0, 0, 0, 0, begin
     if scan.same_word(text, at, _CANFD):
         return _fd_frame(text, at + len(_CANFD), base, time_ns, row)
     end = scan.word_end(text, at)

@@ -120,6 +120,15 @@ def test_kinds_of_frames_of_a_vector_log(tmp_path, line, kind):
     assert found[3] == "2"
 
 
+@pytest.mark.parametrize(("name", "text", "line"), [("a.asc", ASC, 5), ("a.trc", PEAK, 9)])
+def test_a_second_log_in_a_file_is_refused(tmp_path, name, text, line):
+    """The times of its frames count from another start."""
+    first = text if name == "a.trc" else f"{ASC}1.0 1 123 Rx d 1 05\n1.5 1 123 Rx d 1 05\n"
+    path = written(tmp_path, first + first, name)
+    with pytest.raises(LogError, match=rf"{name}: line {line}: a second log begins here"):
+        whole(path)
+
+
 @pytest.mark.parametrize("year", ["0001", "9999", "99999"])
 def test_a_date_that_is_none_of_a_recording_is_passed_over(tmp_path, year):
     text = ASC.replace("2015", year) + "1.0 1 123 Rx d 1 05\n"
