@@ -94,6 +94,7 @@ class Recording:
 
 MOST_POINTS: Final = 100_000
 """Points of a curve; longer runs show the least and the greatest value of equal parts."""
+_CURVES_AT_ONCE: Final = 20  # of the most points, in memory to see whether their times fit
 
 SCRIPTS: Final = ("uPlot.iife.min.js", "charts.js", "trace.js", "scene.js", "recorded.js")
 
@@ -148,8 +149,9 @@ def on_one_axis(
 ) -> tuple[FloatArray, list[FloatArray]]:
     """Curves with times of their own at common times, without losing a peak.
 
-    The time is cut into equal parts. Each part has two times: the first has the least or the
-    greatest value of a curve in the part, the second has the other; nan without a value.
+    Every point is kept where the curves have few times, and no time twice. Otherwise the time is
+    cut into equal parts. Each part has two times: the first has the least or the greatest value of
+    a curve in the part, the second has the other; nan without a value.
 
     Args:
         curves: time and values of each, (n,) in any order, as a clock that is set back leaves
@@ -157,14 +159,27 @@ def on_one_axis(
     """
     if not curves:
         return np.empty(0), []
+    lengths = [len(time_s) for time_s, _ in curves]
+    if max(lengths) <= MOST_POINTS and sum(lengths) <= _CURVES_AT_ONCE * MOST_POINTS:
+        every = np.unique(np.concatenate([time_s for time_s, _ in curves]))
+        told_apart = all(len(np.unique(time_s)) == len(time_s) for time_s, _ in curves)
+        if len(every) <= MOST_POINTS and told_apart:
+            return every, [_at_times(every, *curve) for curve in curves]
     begin = min(float(time_s.min()) for time_s, _ in curves)
     end = max(float(time_s.max()) for time_s, _ in curves)
-    parts = min(MOST_POINTS // 2, sum(len(time_s) for time_s, _ in curves))
+    parts = min(MOST_POINTS // 2, sum(lengths))
     width = (end - begin) / parts or 1.0
     columns = [_extremes(time_s, values, begin, width, parts) for time_s, values in curves]
     known = np.isfinite(np.stack(columns)).any(axis=0)
     times = begin + 0.5 * width * np.arange(2 * parts, dtype=np.float64)
     return times[known], [column[known] for column in columns]
+
+
+def _at_times(every_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
+    """The values at their times, which ``every_s`` (n,) contains; nan between."""
+    column = np.full(len(every_s), np.nan)
+    column[np.searchsorted(every_s, time_s)] = values
+    return column
 
 
 def _extremes(

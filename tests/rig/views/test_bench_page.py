@@ -37,6 +37,19 @@ def test_a_common_axis_keeps_the_extremes_of_each_part_and_invents_nothing(curve
             assert value in values[np.abs(times - at) <= 1.001 * width / parts + 1e-9]
 
 
+def test_short_curves_keep_every_point_across_an_hour():
+    """Two bursts of two signals with an hour between: equal parts would merge each burst."""
+    burst = np.arange(200) * 1e-3
+    first_s = np.concatenate([burst, 3600.0 + burst])
+    second_s = first_s[::4] + 1e-4
+    made = [(first_s, np.sin(7.0 * first_s)), (second_s, np.cos(second_s))]
+    time_s, columns = on_one_axis(made)
+    for (times, values), column in zip(made, columns, strict=True):
+        known = np.isfinite(column)
+        assert time_s[known].tolist() == times.tolist()
+        assert column[known].tolist() == values.tolist()
+
+
 def test_no_copy_of_a_long_curve_is_in_memory(monkeypatch):
     monkeypatch.setattr("can_rig.drawing.bench.MOST_POINTS", 100)
     long = np.arange(300_000.0)
