@@ -334,7 +334,7 @@ def rate(name: str, text: str, verdicts: Sequence[bool | None]) -> Rate:
 
 
 def percent(share: float | None) -> str:
-    """A share with two digits, or with so many that only all is 100 % and only none is 0 %."""
+    """A share with two digits, or with six where two digits would say 0 % or 100 %."""
     if share is None:
         return NO_VALUE
     text = f"{share:.2%}"

@@ -45,7 +45,7 @@ def is_class_path(text: str) -> bool:
 
 
 def module_file(path: str) -> Path:
-    """The file of the module in a class path; there is none of an installed package."""
+    """The file of the module in a class path. An installed package has no such file."""
     folder, module, _ = _split(path)
     return folder / f"{module.replace('.', '/')}.py"
 
