@@ -8,7 +8,7 @@ from can_rig.scenario.settings import Scenario
 COLUMNS = [
     name
     for name in Signals.__dataclass_fields__
-    if name not in ("plant", "sensors", "whose_fault", "sample_ages")
+    if name not in ("plant", "sensors", "whose_fault", "sample_ages", "left_out")
 ]
 """The fields with a number for each tick."""
 
