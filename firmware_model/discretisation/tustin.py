@@ -114,10 +114,12 @@ def bilinear(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None) ->
     for pole in g.poles:
         if pole == kappa:
             raise ParameterError(f"a pole at {pole.real:g} rad/s is mapped to infinity; change T")
-    zeros = [2.0 * r / (kappa - r) for r in g.zeros] + [complex(-2.0)] * g.relative_degree
+    zeros = [2.0 * r / (kappa - r) for r in g.zeros if r != kappa]  # a zero at κ goes to infinity
+    zeros += [complex(-2.0)] * g.relative_degree
     poles = [2.0 * r / (kappa - r) for r in g.poles]
     # In pairs: products of many large factors would overflow or lose digits.
-    factors = [kappa - r for r in g.zeros] + [complex(1.0)] * g.relative_degree
+    factors = [kappa - r if r != kappa else complex(-2.0 * kappa) for r in g.zeros]
+    factors += [complex(1.0)] * g.relative_degree
     gain = complex(g.gain)
     for above, below in zip(factors, [kappa - r for r in g.poles], strict=True):
         gain *= above / below

@@ -162,6 +162,16 @@ def test_a_pole_on_the_image_of_infinity_is_refused():
         tustin(ZeroPoleGain((), (2000.0,), 1.0), 1e-3)
 
 
+def test_a_zero_on_the_image_of_infinity_leaves_one_zero_less():
+    """Padé's all-pass for a dead time of one tick is one tick of delay, exactly."""
+    delay = ZeroPoleGain((2000.0,), (-2000.0,), -1.0)
+    z = np.exp(1j * np.array([0.1, 1.0, 3.0]))
+    np.testing.assert_allclose(tustin(delay, 1e-3)(z), 1.0 / z, rtol=1e-15)
+    held = by_rule("tustin-held", delay * ZeroPoleGain.lag(0.1, 1), 1e-3)
+    lag = by_rule("tustin-held", ZeroPoleGain.lag(0.1, 1), 1e-3)
+    np.testing.assert_allclose(held(z), lag(z) / z, rtol=1e-13)
+
+
 def test_sections_are_read_only():
     sections = tustin(FILTERS["G1 of the car"], 1e-3)
     assert isinstance(sections, Sections)
