@@ -63,10 +63,15 @@ def assert_follows(
     if not isinstance(tick_s, Real) or not 0.0 < tick_s < math.inf:
         raise ParameterError(f"tick_s = {tick_s!r}: must be one finite number of seconds above 0")
     assert math.isclose(filter.tick_s, tick_s, rel_tol=1e-12), (
-        f"the filter has a tick of {filter.tick_s:g} s: {tick_s:g} s is meant"
+        f"the filter has a tick of {filter.tick_s:.12g} s: {tick_s:.12g} s is meant"
     )
     assert filter.rule in (None, rule), f"the filter is by {filter.rule}: {rule} is meant"
     omega = _grid(filter) if rad_per_s is None else _below_nyquist(rad_per_s, filter.tick_s)
+    if not omega.all() and (gain := zero_pole_gain(system).dc_gain) in (0.0, math.inf, -math.inf):
+        raise ParameterError(
+            f"rad_per_s = 0: a response of {gain:g} has no relative deviation; must be above 0 "
+            "(assert_dc_gain compares that response)"
+        )
     theory, of_theory = _theory(system, omega, tick_s, rule, prewarp_rad_per_s)
     angle = omega * filter.tick_s
     answer = filter.frequency_response(omega)
@@ -81,7 +86,7 @@ def assert_follows(
             conditioning = conditioning + ROUNDINGS_HELD / ROUNDINGS * of_roots
             of_sections = of_sections + rounding.of_coefficients(factor, np.exp(1j * angle))
         share = unit["float64"] * conditioning + unit[filter.precision] * of_sections
-        allowed = ROUNDINGS * share * angle / np.sin(angle) * np.abs(theory)
+        allowed = ROUNDINGS * share / np.sinc(angle / math.pi) * np.abs(theory)
         if rule == "zoh":
             allowed += _of_zoh(zero_pole_gain(system), tick_s, angle, theory, of_theory)
         allowed = np.where(np.isnan(allowed), np.inf, allowed)  # theory has lost every digit
@@ -197,7 +202,10 @@ def assert_step(
     if rule is None and filter.rule is None:
         raise ParameterError("a filter from coefficients has no rule: state rule=")
     g = zero_pole_gain(system)
-    theory = _step_of(g, filter.tick_s, ticks, late=(rule or filter.rule) == "tustin")
+    with np.errstate(over="ignore", invalid="ignore"):
+        theory = _step_of(g, filter.tick_s, ticks, late=(rule or filter.rule) == "tustin")
+    if not np.isfinite(theory).all():
+        raise ParameterError(f"ticks = {ticks}: the unstable system overflows; must be fewer ticks")
     answer = filter.in_precision(filter.precision).run(np.ones(ticks))
     error, allowed = np.abs(answer - theory), within * np.abs(theory).max()
     worst = int(np.argmax(error))

@@ -209,10 +209,31 @@ def test_interpreted_is_interpreted():
     assert type(step(made.cascade, state, np.float32(1.0))) is np.float32
 
 
+def test_another_constant_gain_is_seen_at_0_rad_per_s():
+    low_pass, high_pass = ([100.0], [1.0, 100.0]), ([1.0, 0.0], [1.0, 100.0])
+    made = discretise(low_pass, TICK_S)
+    testing.assert_follows(made, low_pass, [0.0, 10.0], **MEANT)
+    with pytest.raises(AssertionError, match="at 0 rad/s the response is 1.*theory 0.5"):
+        testing.assert_follows(made, ([50.0], [1.0, 100.0]), 0.0, **MEANT)
+    with pytest.raises(ParameterError, match=r"rad_per_s = 0: a response of 0 has no .*dc_gain"):
+        testing.assert_follows(made, high_pass, 0.0, **MEANT)
+    with pytest.raises(ParameterError, match="rad_per_s = 0: a response of inf has no"):
+        testing.assert_follows(made, ([1.0], [1.0, 0.0]), 0.0, **MEANT)
+
+
+def test_a_step_that_overflows_is_no_reference():
+    grows = ([1.0], [1.0, -1000.0])
+    with pytest.raises(ParameterError, match="ticks = 1000: .* overflows; must be fewer ticks"):
+        testing.assert_step(discretise(LEAD, TICK_S), grows)
+    testing.assert_step(discretise(grows, TICK_S, "zoh"), grows, ticks=100)
+
+
 def test_another_tick_and_another_rule_are_seen():
     low_pass = ([100.0], [1.0, 100.0])
     with pytest.raises(AssertionError, match=r"a tick of 0.1 s: 0.001 s is meant"):
         testing.assert_follows(discretise(low_pass, 0.1), low_pass, **MEANT)
+    with pytest.raises(AssertionError, match=r"a tick of 0.00100000004.* s: 0.001 s is meant"):
+        testing.assert_follows(discretise(low_pass, np.float32(TICK_S)), low_pass, **MEANT)
     with pytest.raises(AssertionError, match="the filter is by zoh: tustin is meant"):
         testing.assert_follows(discretise(low_pass, TICK_S, "zoh"), low_pass, **MEANT)
 
