@@ -76,19 +76,14 @@ def _least_critical_delay(loop: SampledLoop) -> float:
         return 0.0  # every whole tick adds an encirclement at z = -1
 
     def log_size(theta: float) -> float:
-        return math.log(abs(gain_at(loop, theta)))
+        return math.log(abs(loop.gain_at(theta)))
 
     critical = math.inf
     for i in np.flatnonzero((size[:-1] > 1.0) != (size[1:] > 1.0)):
         theta = zero(log_size, float(angle[i]), float(angle[i + 1]))
-        gain = gain_at(loop, theta)
+        gain = loop.gain_at(theta)
         critical = min(critical, (cmath.phase(-gain) % (2.0 * math.pi)) / theta)
     return critical
-
-
-def gain_at(loop: SampledLoop, theta: float) -> complex:
-    """L(e^{jθ})."""
-    return complex(loop.loop_gain(np.exp(1j * np.array([theta])))[0])
 
 
 def zero(
@@ -118,6 +113,7 @@ HEALTHY = (1.0, 1.0)
 TORQUE_DEAD = (0.0, 1.0)  # the thesis's fault
 
 MOST_GAIN = 1e3
+UNSURE = 0.1  # imaginary part as a share of L's, near a crossing: worth more digits
 SEEN = 0.05  # of |L| at a hundredth of the slowest pole, an imaginary part that an integrator has
 
 
@@ -230,11 +226,14 @@ def gain_margins(loop: SampledLoop) -> tuple[float, float]:
     angle = loop.angles
     crossing = list(_real_at(loop, angle))
     gain = loop.loop_gain(np.exp(1j * angle))
+    real = -gain.real
+    unsure = (np.abs(gain.imag) < UNSURE * real) & (real > 1.0 / MOST_GAIN) & (real < MOST_GAIN)
+    gain[unsure] = [loop.gain_at(theta) for theta in angle[unsure].tolist()]
     for i in np.flatnonzero((gain.imag[:-1] > 0.0) != (gain.imag[1:] > 0.0)):
         if min(gain.real[i], gain.real[i + 1]) < 0.0:
             ends = float(angle[i]), float(angle[i + 1])
-            theta = zero(lambda at: gain_at(loop, at).imag, *ends)
-            crossing.append(gain_at(loop, theta).real)
+            theta = zero(lambda at: loop.gain_at(at).imag, *ends)
+            crossing.append(loop.gain_at(theta).real)
     factors = [-1.0 / real for real in crossing if real < -1.0 / MOST_GAIN]
     reduction = max((each for each in factors if each < 1.0), default=0.0)
     increase = min((each for each in factors if each > 1.0), default=math.inf)
@@ -243,11 +242,11 @@ def gain_margins(loop: SampledLoop) -> tuple[float, float]:
 
 def _real_at(loop: SampledLoop, angle: FloatArray) -> Iterator[float]:
     """L at z = -1, and at z = 1 unless an integrator makes that infinite."""
-    yield gain_at(loop, math.pi).real
+    yield loop.gain_at(math.pi).real
     if np.abs(np.linalg.eigvals(loop.lumped.a) - 1.0).min() > OPEN_INTEGRATOR:
-        yield gain_at(loop, 0.0).real
+        yield loop.gain_at(0.0).real
         return
-    lowest = gain_at(loop, float(angle[0]))  # L may not see the integrator
+    lowest = loop.gain_at(float(angle[0]))  # L may not see the integrator
     if abs(lowest.imag) < abs(lowest.real) * SEEN:
         yield lowest.real
 

@@ -24,6 +24,7 @@ and a dead time of 50 ms at 1 kHz is 100 states instead of 200 or 300.
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -157,7 +158,8 @@ class SampledLoop:
     def loop_gain(self, z: ComplexArray) -> ComplexArray:
         """L(z) = -c(zI - A)⁻¹b from measurement to measurement, for ``z`` of shape (m,).
 
-        Back-substitution in the Schur form, for all ``z`` at once.
+        Back-substitution in the Schur form, for all ``z`` at once. The form mixes all states: near
+        z = 1, with several slow poles there, ``gain_at`` has more digits.
         """
         triangle, b, c = self._triangular
         x = np.zeros((len(b), len(z)), dtype=np.complex128)
@@ -165,14 +167,27 @@ class SampledLoop:
             x[i] = (b[i] + triangle[i, i + 1 :] @ x[i + 1 :]) / (z - triangle[i, i])
         return np.asarray(-(c @ x), dtype=np.complex128)
 
+    def gain_at(self, theta: float) -> complex:
+        """L(e^{jθ}) by elimination in δ = e^{jθ} - 1."""
+        a, b, c = self._balanced
+        delta = 2j * cmath.sin(theta / 2.0) * cmath.exp(0.5j * theta)
+        eye = np.eye(len(a))
+        return complex(-(c @ np.linalg.solve(delta * eye - (a - eye), b)))
+
     @cached_property
-    def _triangular(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """A's Schur form, b and c with it; balanced first: commands are 1e5 times D*."""
+    def _balanced(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """A, b and c of states of similar size: commands are 1e5 times D*."""
         loop = self.lumped
         balanced, scaling = linalg.matrix_balance(loop.a, permute=False)
         scale = np.diag(scaling)
-        triangle, unitary = linalg.schur(balanced, output="complex")
-        return triangle, unitary.conj().T @ (loop.b[:, 0] / scale), (loop.c * scale) @ unitary
+        return balanced, loop.b[:, 0] / scale, loop.c * scale
+
+    @cached_property
+    def _triangular(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """A's Schur form, b and c with it."""
+        a, b, c = self._balanced
+        triangle, unitary = linalg.schur(a, output="complex")
+        return triangle, unitary.conj().T @ b, c @ unitary
 
     @cached_property
     def angles(self) -> FloatArray:

@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import mpmath
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -27,7 +28,7 @@ from firmware_model.analysis.sampled_loop import linear_controller, lumped, samp
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
-from firmware_model.design.plants import chapter_2
+from firmware_model.design.plants import Plant, chapter_2
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
@@ -46,6 +47,30 @@ def test_a_loop_that_needs_its_gain_has_a_lower_margin_too():
     """x⁺ = 1.2 x - 0.5 g y is stable for 0.4 < g < 4.4."""
     loop = scalar_loop(1.2, -0.5)
     assert gain_margins(loop) == pytest.approx((0.4, 4.4), rel=1e-12)
+
+
+@pytest.mark.parametrize("rule", ["zoh", "tustin", "tustin-held"])
+def test_rounding_near_rest_makes_no_lower_gain_margin(rule):
+    """Two integrators, of a plant of 1 rad/s at 1.3 kHz: L follows the negative axis for decades.
+
+    In forty digits L stays on one side of the axis.
+    """
+    poles = (-0.45284520203450673, -0.8461437372723123, -3.265216622592923)
+    g1 = ZeroPoleGain((1.2353642786940744, -3.573067329927216), poles, 72.42207701407439)
+    g2 = ZeroPoleGain((1.236661000420139,), poles, 8.597295302937662)
+    slow = DesignSpecification(tau_s=0.015, alpha=3, tau_q_s=0.0748, alpha_q=3)
+    designed = design(Plant.from_transfer_functions("slow", g1, g2), slow)
+    table = build(designed, Target(7.656795783537045e-4, estimator=rule))
+    law = law_in(table, TORQUE_DEAD)
+    loop = sampled_loop(law, designed.plant, 7.656795783537045e-4, TORQUE_DEAD)
+    a, b, c = (mpmath.matrix(x) for x in (loop.lumped.a, loop.lumped.b[:, :1], loop.lumped.c[None]))
+    with mpmath.workdps(40):
+        for theta in (1e-5, 6e-5, 3e-4):
+            resolvent = mpmath.expj(theta) * mpmath.eye(len(a)) - a
+            exact = -complex((c * mpmath.lu_solve(resolvent, b))[0])
+            assert exact.imag < 0.0
+            assert loop.gain_at(theta) == pytest.approx(exact, rel=1e-6)
+    assert gain_margins(loop)[0] == 0.0
 
 
 @pytest.mark.parametrize("late", [0.0, 2.0, 2.5])
