@@ -113,7 +113,6 @@ HEALTHY = (1.0, 1.0)
 TORQUE_DEAD = (0.0, 1.0)  # the thesis's fault
 
 MOST_GAIN = 1e3
-UNSURE = 0.1  # imaginary part as a share of L's, near a crossing: worth more digits
 SEEN = 0.05  # of |L| at a hundredth of the slowest pole, an imaginary part that an integrator has
 
 
@@ -226,9 +225,6 @@ def gain_margins(loop: SampledLoop) -> tuple[float, float]:
     angle = loop.angles
     crossing = list(_real_at(loop, angle))
     gain = loop.loop_gain(np.exp(1j * angle))
-    real = -gain.real
-    unsure = (np.abs(gain.imag) < UNSURE * real) & (real > 1.0 / MOST_GAIN) & (real < MOST_GAIN)
-    gain[unsure] = [loop.gain_at(theta) for theta in angle[unsure].tolist()]
     for i in np.flatnonzero((gain.imag[:-1] > 0.0) != (gain.imag[1:] > 0.0)):
         if min(gain.real[i], gain.real[i + 1]) < 0.0:
             ends = float(angle[i]), float(angle[i + 1])

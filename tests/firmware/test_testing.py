@@ -213,7 +213,7 @@ def test_another_constant_gain_is_seen_at_0_rad_per_s():
     low_pass, high_pass = ([100.0], [1.0, 100.0]), ([1.0, 0.0], [1.0, 100.0])
     made = discretise(low_pass, TICK_S)
     testing.assert_follows(made, low_pass, [0.0, 10.0], **MEANT)
-    with pytest.raises(AssertionError, match="at 0 rad/s the response is 1.*theory 0.5"):
+    with pytest.raises(AssertionError, match=r"at 0 rad/s the response is 1.*theory 0.5"):
         testing.assert_follows(made, ([50.0], [1.0, 100.0]), 0.0, **MEANT)
     with pytest.raises(ParameterError, match=r"rad_per_s = 0: a response of 0 has no .*dc_gain"):
         testing.assert_follows(made, high_pass, 0.0, **MEANT)
@@ -223,7 +223,7 @@ def test_another_constant_gain_is_seen_at_0_rad_per_s():
 
 def test_a_step_that_overflows_is_no_reference():
     grows = ([1.0], [1.0, -1000.0])
-    with pytest.raises(ParameterError, match="ticks = 1000: .* overflows; must be fewer ticks"):
+    with pytest.raises(ParameterError, match=r"ticks = 1000: .* overflows; must be fewer ticks"):
         testing.assert_step(discretise(LEAD, TICK_S), grows)
     testing.assert_step(discretise(grows, TICK_S, "zoh"), grows, ticks=100)
 
