@@ -221,6 +221,13 @@ def test_another_constant_gain_is_seen_at_0_rad_per_s():
         testing.assert_follows(made, ([1.0], [1.0, 0.0]), 0.0, **MEANT)
 
 
+def test_matrices_that_integrate_have_an_infinite_gain():
+    made = Filter.from_state_space([[1.0]], [[1.0]], [[1.0]], 0.0, tick_s=1.0)
+    testing.assert_dc_gain(made, ([1.0], [1.0, 0.0]))
+    with pytest.raises(AssertionError, match="DC gain inf, theory 1"):
+        testing.assert_dc_gain(made, 1.0)
+
+
 def test_a_step_that_overflows_is_no_reference():
     grows = ([1.0], [1.0, -1000.0])
     with pytest.raises(ParameterError, match=r"ticks = 1000: .* overflows; must be fewer ticks"):
