@@ -118,6 +118,27 @@ def test_the_latency_that_a_tuning_survives_is_said():
         refuse_unstable(load("thesis-step", [*LATER, f"latency_ticks={longest + 1}"]))
 
 
+def test_what_works_holds_after_each_fault_of_a_list():
+    """The last fault loses the other channel, after which the scenario's latency is too long."""
+    faults = ["fault.0.kind=actuator-dead", "fault.1.kind=actuator-dead"]
+    scenario = load(
+        "ideal", [*faults, "fault.1.channel=force-difference", "design.compensation=always"]
+    )
+    with pytest.raises(ScenarioError, match=r"unstable \(force-difference dead\)") as refused:
+        refuse_unstable(scenario)
+    found = re.search(r"stable with latency_ticks up to (\d+)", str(refused.value))
+    assert found is not None
+    assert int(found[1]) < scenario.latency_ticks
+
+
+def test_a_tuning_too_fast_for_the_sensor_is_not_the_reason_for_a_refusal():
+    """The search for a stable tuning passes over q̂ faster than the sensor's filter."""
+    slow = ["plant.sensor.corner_hz=50", "design.alpha=3", "design.alpha_q=4"]
+    settings = [*slow, "design.tau_s=0.005", "design.tau_q_s=0.002", "latency_ticks=40"]
+    with pytest.raises(ScenarioError, match=r"unstable \(torque dead\).*design\.tau_q_s=\S+ works"):
+        refuse_unstable(load("ideal", settings))
+
+
 def test_run_takes_an_unstable_loop_when_told(tmp_path):  # type: ignore[no-untyped-def]
     settings = sets(*UNSTABLE, "duration_s=0.05")
     arguments = (*settings, "--in-process", "--out", tmp_path / "r")
