@@ -15,6 +15,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -240,8 +241,9 @@ def _real_at(loop: SampledLoop, angle: FloatArray) -> Iterator[float]:
     """L at z = -1, and at z = 1 unless an integrator makes that infinite."""
     yield loop.gain_at(math.pi).real
     if np.abs(np.linalg.eigvals(loop.lumped.a) - 1.0).min() > OPEN_INTEGRATOR:
-        yield loop.gain_at(0.0).real
-        return
+        with suppress(np.linalg.LinAlgError):  # a double integrator: its eigenvalues are less exact
+            yield loop.gain_at(0.0).real
+            return
     lowest = loop.gain_at(float(angle[0]))  # L may not see the integrator
     if abs(lowest.imag) < abs(lowest.real) * SEEN:
         yield lowest.real
