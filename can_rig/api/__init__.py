@@ -200,11 +200,7 @@ def compare(
         ScenarioError: as ``load_scenario``, or an unknown group.
     """
     if isinstance(cases, str):
-        if cases not in CASES:
-            raise ScenarioError(
-                f"cases = {cases!r}: must be {', '.join(CASES)}, or changes by name"
-            )
-        cases = CASES[cases]
+        cases = CASES.get(cases, cases)
     if not (isinstance(cases, Mapping) and all(isinstance(v, Mapping) for v in cases.values())):
         raise ScenarioError(f"cases = {cases!r}: must be {', '.join(CASES)}, or changes by name")
     settings = settings_of(changes)

@@ -1,6 +1,5 @@
 """``can-rig compare``: several controllers through the same faults, weather and cars."""
 
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +8,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import finite_or_null
 from can_rig.cli.options import force_option, json_option, out_option, set_option
 from can_rig.cli.output import counting, json_line, note, say, table, wide
 from can_rig.errors import ScenarioError
@@ -74,10 +74,7 @@ def command(
     failed = any(row.failure for row in found.rows)
     if as_json:
         for row in found.rows:
-            json_line(**{
-                name: None if isinstance(value, float) and math.isnan(value) else value
-                for name, value in vars(row).items()
-            })  # fmt: skip
+            json_line(**finite_or_null(vars(row)))
         sys.exit(failed)
     figures = table("case", "controller", "peak", "rms", "settled", "confirmed", "|u1|", "|u2|",
                     left=2)  # fmt: skip
