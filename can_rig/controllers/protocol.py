@@ -48,6 +48,8 @@ def samples_in(heard: Mapping[str, float]) -> list[tuple[int, float, float]]:
 
     The arguments of ``further_sensors.hear``.
     """
+    if not heard:
+        return []
     return [
         (number, value, age if (age := heard[name + AGE]) == age else 0.0)
         for number, name in enumerate(HEARD_COLUMNS, 1)

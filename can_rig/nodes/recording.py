@@ -299,8 +299,9 @@ class PlantRecorder:
         """Note the signals of ``tick``, the same ones in each."""
         if not self._names:
             self._write_names(signals)
-        values = (signals.get(name, math.nan) for name in self._names)
-        self._write_rows([(tick, *values)])
+        if tuple(signals) != self._names:  # another order, or a signal less
+            signals = {name: signals.get(name, math.nan) for name in self._names}
+        self._write_rows([(tick, *signals.values())])
 
     def record_columns(self, first_tick: int, columns: Mapping[str, FloatArray]) -> None:
         """Note the signals of the ticks from ``first_tick`` on, (ticks,) each."""

@@ -166,6 +166,15 @@ def test_signals_that_change_their_names_are_refused_in_one_line(tmp_path):
             plant.advance(tick, 2.0, 0.0)
 
 
+def test_signals_in_another_order_keep_their_columns_and_a_missing_one_is_no_number(tmp_path):
+    with PlantRecorder(tmp_path / "bus.log") as recorder:
+        for tick, row in enumerate(({"a": 1.0, "b": 2.0}, {"b": 4.0, "a": 3.0}, {"b": 6.0})):
+            recorder.record(tick, row)
+    found = read_plant_signals(tmp_path / "bus.log", 0, 3)
+    assert_array_equal(found["a"], [1.0, 3.0, np.nan])
+    assert_array_equal(found["b"], [2.0, 4.0, 6.0])
+
+
 @given(st.lists(st.tuples(st.floats(), st.floats()), min_size=1))
 def test_every_value_and_name_comes_back_from_the_file_as_it_was(tmp_path_factory, rows):
     """Numbers of NumPy's too, which a plant that runs interpreted reports."""
