@@ -14,7 +14,7 @@ from can_rig.frames.codec import Transmitter
 from can_rig.frames.operator_frames import Command, taken_message
 from can_rig.logs.reading import read_log
 from can_rig.nodes.lockstep import ControllerNode
-from can_rig.panel.live import HOLD, LiveSignals
+from can_rig.panel.live import LiveSignals
 from can_rig.plant.frameless import frameless
 from can_rig.replaying.replay import OpenLoop
 from can_rig.results.report.page import page
@@ -24,6 +24,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import speeds_at_ticks
 from firmware_model.firmware import PYTHON_LAW
 from tests.helpers import asked, decoded, on_a_bus, succeeded
+from tests.rig.panel.test_live import heard
 
 DRIVE = (
     "duration_s=0.6", "drive.ramps=[[0.0, 10.0], [0.5, 13.0]]", "reference.kind=sine",
@@ -73,13 +74,8 @@ def test_report_and_panel_show_it(log):
     assert values[-1] == pytest.approx(13.0)
     drawn = page(SCENARIO, NETWORK, signals).axes[-1]  # over the fault estimate
     assert drawn.lines[0].get_ydata().max() == pytest.approx(13.0)
-    live = LiveSignals(SCENARIO, NETWORK)
-    assert live.lamps.speed_mps is None
-    for frames in read_log(log):
-        for message in frames.messages():
-            live.frames.on_message_received(message)
-    for _ in range(HOLD + 1):
-        live.update()
+    assert LiveSignals(SCENARIO, NETWORK).lamps.speed_mps is None
+    live, _ = heard(SCENARIO, can.LogReader(log))
     assert live.lamps.speed_mps == pytest.approx(13.0)
 
 

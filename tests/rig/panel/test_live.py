@@ -1,5 +1,7 @@
 """What the panel does with frames of a listener that lags."""
 
+from collections.abc import Iterable
+
 import can
 import numpy as np
 import pytest
@@ -14,6 +16,14 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import FloatArray
 from tests.helpers import load, record
+
+
+def heard(scenario: Scenario, sent: Iterable[can.Message]) -> tuple[LiveSignals, FloatArray]:
+    """What a panel has heard, and the rows that its page has got."""
+    live = LiveSignals(scenario, network_of(scenario))
+    for frame in sent:
+        live.frames.on_message_received(frame)
+    return live, np.concatenate([live.update() for _ in range(HOLD + 1)])
 
 
 def _handed_over(frames: Frames, *stamps_s: float) -> list[float]:
@@ -56,18 +66,14 @@ def test_no_tick_is_called_unanswered_because_the_listener_has_its_commands_late
 
 def test_a_command_is_shown_with_the_time_from_which_it_acts(tmp_path):
     log, _, scenario = record(tmp_path, "duration_s=0.1", name="ideal")
-    network, sent = network_of(scenario), list(can.LogReader(log))
+    sent = list(can.LogReader(log))
     dead = operator_frames.Command("INJECT", "actuator-dead", "torque", 0.0)
     taken = operator_frames.taken_message(dead, 3)
     first = next(frame for frame in sent if frame.timestamp >= 50 * scenario.tick_s)
     taken.timestamp = first.timestamp
     undone = operator_frames.taken_message(dead._replace(value=2.0), 4)  # no share that is left
     sent[sent.index(first) : sent.index(first)] = [taken, undone]
-    live = LiveSignals(scenario, network)
-    for frame in sent:
-        live.frames.on_message_received(frame)
-    for _ in range(HOLD + 1):
-        live.update()
+    live, _ = heard(scenario, sent)
     assert live.taken_commands() == [(pytest.approx(50 * scenario.tick_s), dead)]
     assert live.taken_commands() == []
 
@@ -130,13 +136,8 @@ def test_evidence_of_what_was_not_heard_is_unknown(heard, tmp_path):
 def test_the_last_value_of_each_further_sensor_is_shown_and_one_that_is_not_valid(tmp_path):
     fault = ["fault.kind=sensor-invalid", "fault.channel=torque-echo", "fault.at_s=0.05"]
     log, _, scenario = record(tmp_path, "duration_s=0.1", *fault, name="cluster")
-    network = network_of(scenario)
-    live = LiveSignals(scenario, network)
-    for frame in can.LogReader(log):
-        live.frames.on_message_received(frame)
-    for _ in range(HOLD + 1):
-        live.update()
-    said = read_signals(log, network, scenario.tick_s).sensors
+    live, _ = heard(scenario, can.LogReader(log))
+    said = read_signals(log, network_of(scenario), scenario.tick_s).sensors
     last = {name: column[np.isfinite(column)][-1] for name, column in said.items()}
     assert live.lamps.sensors == {
         "yaw rate rad/s": last["measured_yaw_rate_rad_per_s"],
@@ -151,10 +152,7 @@ def test_the_last_value_of_each_further_sensor_is_shown_and_one_that_is_not_vali
 def test_the_screen_is_empty_where_a_controller_says_nothing(kind, tmp_path):
     settings = ["duration_s=0.3", "fault.at_s=0.1", f"controller.kind={kind}"]
     log, _, scenario = record(tmp_path, *settings, name="default")
-    live = LiveSignals(scenario, network_of(scenario))
-    for frame in can.LogReader(log):
-        live.frames.on_message_received(frame)
-    rows = np.concatenate([live.update() for _ in range(HOLD + 1)])
+    live, rows = heard(scenario, can.LogReader(log))
     shown = dict(zip(COLUMNS, rows.T, strict=True))
     says = kind == "kalman"
     assert np.isfinite(shown["estimate"]).any() == np.isfinite(shown["fault_state"]).any() == says

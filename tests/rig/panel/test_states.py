@@ -13,12 +13,13 @@ import pytest
 from can_rig.buses.bus import open_bus
 from can_rig.drawing.bench import text
 from can_rig.frames import operator_frames
-from can_rig.panel.live import HOLD, LiveSignals
+from can_rig.panel.live import HOLD
 from can_rig.panel.session import Session
 from can_rig.panel.setup import setup
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from tests.helpers import load, record
+from tests.rig.panel.test_live import heard
 
 PALETTES = re.findall(r":root \{(.*?)\}", text("bench.css"), re.DOTALL)
 LIGHT, DARK = (dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", each)) for each in PALETTES)
@@ -188,11 +189,7 @@ def test_the_end_of_a_run_of_the_panel_has_a_reason(
 
 def counts(scenario: Scenario, frames: list[can.Message]) -> tuple[int, int, float]:
     """Ticks without commands, ticks not heard, and bus load, as a panel counts them."""
-    live = LiveSignals(scenario, network_of(scenario))
-    for frame in frames:
-        live.frames.on_message_received(frame)
-    for _ in range(HOLD + 1):
-        live.update()
+    live, _ = heard(scenario, frames)
     return live.lamps.unanswered_ticks, live.lamps.unheard_ticks, live.lamps.bus_load
 
 
