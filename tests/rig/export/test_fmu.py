@@ -56,39 +56,6 @@ LOOPS: dict[str, tuple[str, dict[str, object]]] = {
          "plant.sensor.resolution_mps2": 0.001, "sensor.0.delay_s": 0.003,
          "fault.kind": "sensor-biased", "fault.channel": "sensor", "fault.bias_mps2": 0.2}),
 }  # fmt: skip
-BOTH = """
-latency_ticks = 1
-duration_s = 0.6
-[plant]
-kind = "fmu:{car}"
-sensor.noise_mps2 = 0.005
-[plant.variables]
-input_1 = "command_1"
-input_2 = "command_2"
-output = "output"
-slip_rad = "side_slip_rad"
-[plant.parameters]
-latency_ticks = {latency_ticks}
-[reference]
-kind = "step"
-amplitude_mps2 = 1.0
-[fault]
-kind = "actuator-dead"
-channel = "torque"
-at_s = 0.3
-[controller]
-kind = "fmu:{controller}"
-[controller.variables]
-reference = "reference"
-measurement = "measurement"
-command_1 = "command_1"
-command_2 = "command_2"
-fault_estimate = "fault_estimate"
-mode = "mode"
-fault_state = "fault_state"
-verdict = "verdict"
-"""
-"""The scenario `default` with both FMUs."""
 MEASUREMENT, COMMANDS = 2, [3, 4]
 EXAMPLE = runpy.run_path("docs/examples/fmu_loop.py")
 
@@ -134,13 +101,18 @@ def test_both_in_a_loop_are_the_rig_bit_for_bit(case, tmp_path):
     assert np.ptp(trace.command_2) > 0.0
 
 
+def controlled_by(path: Path) -> dict[str, dict[str, object]]:
+    """Changes of a scenario that let the controller be an FMU."""
+    model = fmpy.read_model_description(str(path))
+    variables = {each.name: each.name for each in model.modelVariables if each.name != "time"}
+    return {"controller": {"kind": f"fmu:{path}", "variables": variables}}
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_the_rig_runs_the_controller_bit_for_bit(case, tmp_path):
     ours = can_rig.load_scenario(*CASES[case])
     _, path = write_fmus(controller_model(ours), tmp_path, force=False)
-    model = fmpy.read_model_description(str(path))
-    variables = {each.name: each.name for each in model.modelVariables if each.name != "time"}
-    fmu = {"controller": {"kind": f"fmu:{path}", "variables": variables}}
+    fmu = controlled_by(path)
     runs = [can_rig.run(ours), can_rig.run(ours, fmu, allow_unstable=True)]
     logs = [(each.folder / LOG).read_bytes() for each in runs]
     assert logs[0] == logs[1]
@@ -157,17 +129,22 @@ def test_the_rig_drives_both_bit_for_bit(version, tmp_path):
         write_fmus(model, tmp_path, force=False)[:: 1 - 2 * version]
         for model in (controller_model(ours), car)
     )
-    scenario = tmp_path / "both.toml"
-    scenario.write_text(BOTH.format(car=path, controller=controller, latency_ticks=0))
-    runs = [can_rig.run(ours), can_rig.run(scenario, allow_unstable=True)]
+    plant: dict[str, object] = {
+        "kind": f"fmu:{path}", "torque_actuator.lag_s": 0.0, "force_difference_actuator.lag_s": 0.0,
+        "variables": {"input_1": "command_1", "input_2": "command_2", "output": "output",
+                      "slip_rad": "side_slip_rad"},
+        "parameters": {"latency_ticks": 0},
+    }  # fmt: skip
+    both = {"plant": plant, **controlled_by(controller)}
+    runs = [can_rig.run(ours), can_rig.run(ours, both, allow_unstable=True)]
     logs = [(each.folder / LOG).read_bytes() for each in runs]
     assert logs[0] == logs[1]
     np.testing.assert_array_equal(
         runs[1].table.columns["slip_rad"], runs[0].table.columns["side_slip_rad"]
     )
-    scenario.write_text(BOTH.format(car=path, controller=controller, latency_ticks=2))
+    plant["parameters"] = {"latency_ticks": 2}
     with pytest.raises(RigError, match="the FMU says: latency_ticks must be 0 to 1"):
-        can_rig.run(scenario, allow_unstable=True)
+        can_rig.run(ours, both, allow_unstable=True)
 
 
 @pytest.fixture(scope="module")
