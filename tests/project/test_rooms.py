@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.project.pages import table, text_of
+
 CHECKOUT = Path(__file__).parents[2]
 PACKAGES = ("can_rig", "firmware_model")
 ROOTS = {
@@ -48,6 +50,15 @@ def test_nothing_else_was_committed_at_the_top_level():
         command, cwd=CHECKOUT, capture_output=True, text=True, check=True
     ).stdout
     assert {Path(line).parts[0] for line in listed.splitlines()} == TOP_LEVEL
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_the_architecture_page_has_every_room_and_no_other(package):
+    root = CHECKOUT / package
+    rooms = {path.parent for path in root.rglob("__init__.py")} - {root}
+    rows = table(text_of("docs/architecture.md"), f"`{package}/`")
+    listed = [name for cell, *_ in rows for name in re.findall(r"`([\w/]+)/`", cell)]
+    assert sorted(listed) == sorted(str(room.relative_to(root)) for room in rooms)
 
 
 def name_of(path: Path) -> str:
