@@ -4,6 +4,7 @@ import os
 import re
 import signal
 import time
+from pathlib import Path
 
 import pytest
 
@@ -115,20 +116,26 @@ def test_ctrl_c_in_one_process(tmp_path):
     assert lines_of(log) == 5 * summary["ticks"]
 
 
-ENDING = """
-import ctypes, os, time
+CONTROLLER = """
+import ctypes, os, threading, time
 
 class Controller:
     def __init__(self, setup):
-        pass
+        {made}
 
     def reset(self, reference):
         pass
 
     def step(self, inputs):
-        {}
+        {asked}
         return 0.0, 0.0
 """
+
+
+def controller_in(folder: Path, made: str = "pass", asked: str = "pass") -> str:
+    """The kind of a controller that does this when it is made, and when it is asked."""
+    (folder / "ending.py").write_text(CONTROLLER.format(made=made, asked=asked))
+    return f"{folder / 'ending'}:Controller"
 
 
 @pytest.mark.parametrize(
@@ -136,8 +143,7 @@ class Controller:
     [("os._exit(0)", "ended with exit status 0"), ("ctypes.string_at(0)", "was ended by SIGSEGV")],
 )
 def test_a_controller_that_ends_its_process_in_the_check_is_named(ends, line, tmp_path):
-    (tmp_path / "ending.py").write_text(ENDING.format(ends))
-    kind = f"{tmp_path / 'ending'}:Controller"
+    kind = controller_in(tmp_path, asked=ends)
     process = start("run", "--set", f"controller.kind={kind}", "--out", tmp_path / "run")
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 3
@@ -146,7 +152,7 @@ def test_a_controller_that_ends_its_process_in_the_check_is_named(ends, line, tm
 
 
 def test_ctrl_c_ends_a_check_whose_controller_never_answers(tmp_path):
-    (tmp_path / "ending.py").write_text(ENDING.format("open('begun', 'w'); time.sleep(600)"))
+    controller_in(tmp_path, asked="open('begun', 'w'); time.sleep(600)")
     process = start("run", "--set", "controller.kind=ending:Controller", cwd=tmp_path)
     wait_for((tmp_path / "begun").exists)
     process.send_signal(signal.SIGINT)
@@ -167,9 +173,9 @@ def test_in_real_time_a_controller_that_ends_shortly_before_the_run_is_named(tmp
     """The plant goes on to the end: less than the permitted silence is left."""
     comm = "open('/proc/self/comm').read().strip()"
     ends = f"if inputs.reference > 0.1 and {comm} == 'rig-controller': os._exit(0)"
-    (tmp_path / "ending.py").write_text(ENDING.format(ends))
+    kind = controller_in(tmp_path, asked=ends)
     process = start(
-        "run", "--realtime", "--set", f"controller.kind={tmp_path / 'ending'}:Controller",
+        "run", "--realtime", "--set", f"controller.kind={kind}",
         "--set", "latency_ticks=1", "--set", "tick_s=0.005", "--set", "duration_s=1.5",
         "--set", "reference.kind=lane-change",
         "--allow-unstable", "--out", tmp_path / "run",
@@ -177,21 +183,6 @@ def test_in_real_time_a_controller_that_ends_shortly_before_the_run_is_named(tmp
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 3
     assert "controller node: ended with exit status 0" in one_line(errors)
-
-
-THREADED = """
-import threading, time
-
-class Controller:
-    def __init__(self, setup):
-        threading.Thread(target=time.sleep, args=(600,)).start()
-
-    def reset(self, reference):
-        pass
-
-    def step(self, inputs):
-        return 0.0, 0.0
-"""
 
 
 @pytest.mark.parametrize(
@@ -205,11 +196,11 @@ class Controller:
 def test_a_thread_of_a_controller_does_not_outlive_a_signal_after_the_run(
     tmp_path, how, number, status
 ):
-    (tmp_path / "threaded.py").write_text(THREADED)
+    made = "threading.Thread(target=time.sleep, args=(600,)).start()"
+    kind = controller_in(tmp_path, made)
     process = start(
         "run", "thesis-step", "--set", "duration_s=0.1", "--set", "fault.kind=none",
-        *how, "--allow-unstable", "--out", tmp_path / "run",
-        "--set", f"controller.kind={tmp_path / 'threaded'}:Controller",
+        *how, "--allow-unstable", "--out", tmp_path / "run", "--set", f"controller.kind={kind}",
     )  # fmt: skip
     for line in process.stdout:
         if line.startswith("run folder"):
