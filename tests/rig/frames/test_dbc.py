@@ -4,7 +4,6 @@ import logging
 import warnings
 from decimal import Decimal
 from itertools import combinations, product
-from pathlib import Path
 
 import canmatrix.formats
 import cantools
@@ -14,8 +13,8 @@ from can_rig.frames.codec import ROLES, SPEED
 from can_rig.frames.databases import attribute
 from can_rig.frames.network import load_network
 from can_rig.scenario.sensor_settings import MEASURED
+from tests.helpers import DBC
 
-DBC = Path(__file__).parents[3] / "dbc"
 FILES = ("steer_by_wire.dbc", "plant_by_numbers.dbc")
 FURTHER = tuple(each.replace("-", "_") for each in MEASURED)
 
@@ -116,18 +115,6 @@ def test_identifiers_follow_the_order_of_a_tick(name):
     assert roles == (*speed, *FURTHER, *ROLES)
     own = ["PLANT"] * (2 + len(speed) + len(FURTHER))
     assert [message.senders[0] for message in messages] == own + ["CONTROLLER"] * 3
-
-
-def test_value_tables():
-    status = load(FILES[0]).get_message_by_name("CONTROLLER_STATUS")
-    words = {
-        name: [str(status.get_signal_by_name(name).choices[n]) for n in range(4)]
-        for name in ("Mode", "FaultState")
-    }
-    assert words == {
-        "Mode": ["STANDBY", "RUN", "BLIND", "SAFE_STOP"],
-        "FaultState": ["CLEAR", "SUSPECTED", "CONFIRMED", "CANNOT_TELL"],
-    }
 
 
 def test_no_identifier_is_used_twice_in_both_networks():

@@ -6,22 +6,11 @@ import cantools
 import pytest
 
 from can_rig.errors import DbcError, RigError
-from can_rig.frames.codec import ROLES
 from can_rig.frames.network import load_network
 from firmware_model.law.status import FaultState, Mode, Verdict
-from tests.helpers import refuses
-from tests.rig.frames.codecs import STEER_BY_WIRE
+from tests.helpers import DBC, refuses
 
-
-def test_network_holds_one_frame_of_every_role():
-    network = load_network(STEER_BY_WIRE)
-    assert tuple(codec.role for codec in network) == ROLES
-    assert network.command_1.signal_name == "SteerTorque"
-    assert network.command_1.unit == "N.m"
-    assert network.feedback.sender == "PLANT"
-    assert network.status.modes[2] == "BLIND"
-    assert network.status.fault_states[3] == "CANNOT_TELL"
-    assert network.feedback.modes == {}
+STEER_BY_WIRE = DBC / "steer_by_wire.dbc"
 
 
 def test_the_value_tables_are_the_firmware_s():
