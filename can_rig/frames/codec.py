@@ -483,12 +483,8 @@ class MessageCodec:
     name: str
     frame_id: int
     """CAN identifier."""
-    sender: str
-    """Sending node in the DBC."""
     data_id: int | None
     """E2E data identifier; None: the frame is not protected."""
-    cycle_time_ms: int | None
-    """GenMsgCycleTime [ms]; the rig sends at the tick of the scenario instead."""
     signal_name: str
     unit: str
     """Unit of the value in the DBC's spelling; empty where dimensionless."""
