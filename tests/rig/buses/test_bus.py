@@ -50,14 +50,6 @@ def test_local_by_name(name, channel):
         assert bus.channel == channel
 
 
-def test_local_by_path(tmp_path):
-    with open_bus(f"local:{tmp_path}") as one, open_bus(f"local:{tmp_path}") as other:
-        one.send(can.Message(data=b"there"))
-        received = other.recv(5.0)
-        assert received is not None
-        assert received.data == b"there"
-
-
 def test_arguments_in_the_name_and_beside_it():
     with open_bus("local:x?fd=true&tx_backlog=7", tx_backlog=9) as bus:
         assert isinstance(bus, LocalBus)
