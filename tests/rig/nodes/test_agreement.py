@@ -250,14 +250,6 @@ def test_a_bus_that_brings_back_what_a_node_sends_is_no_other_node():
     assert end.agreement.recv(0.05) is None
 
 
-def test_two_nodes_of_a_kind_on_one_bus_name_each_other(tmp_path):
-    words = ["controller", "ideal", "--bus", f"local:{tmp_path / 'bus'}", "--wait", "60"]
-    for process in [start(*words) for _ in range(2)]:
-        _, errors = process.communicate(timeout=120)
-        assert process.returncode == 2, errors
-        assert "another controller node is on local bus" in one_line(errors)
-
-
 def test_a_rig_on_the_bus_of_another_is_refused_and_the_first_goes_on(tmp_path):
     bus = ["--bus", f"local:{tmp_path / 'bus'}", "--set", "duration_s=20", "--set", "fault.at_s=1"]
     first = start(
