@@ -15,7 +15,7 @@ from can_rig.export.network_code import SENT
 from can_rig.frames.codec import USABLE, Checker, CheckStatus, Protector
 from can_rig.scenario.build import network_of
 from firmware_model.law.structs import Precision
-from tests.rig.export.shared import frames_in_c
+from tests.rig.export.shared import PRECISIONS, frames_in_c
 
 SCENARIO = load("default", [])
 NETWORK = network_of(SCENARIO)
@@ -113,14 +113,19 @@ def packed(
     return data.raw, bytes(codec.encode(value, tick))
 
 
+HALF_STEPS = st.tuples(
+    st.integers(-(2**32), 2**32), st.sampled_from([0.5e-3, 0.5e-8, 2.0**-4, 2.0**-7])
+).map(math.prod)
+
+
 @SENT_FRAMES
-@given(
-    value=st.one_of(st.floats(), st.integers(-(2**32), 2**32).map(lambda n: n * 0.5e-3),
-                    st.integers(-(2**32), 2**32).map(lambda n: n * 0.5e-8)),
-    tick=st.integers(0, 0xFFFF),
-)  # fmt: skip
-def test_values_are_packed_as_by_the_rig(at, value, tick):
-    found, expected = packed(value, tick, at)
+@pytest.mark.parametrize("precision", PRECISIONS)
+@given(value=st.floats() | st.floats(width=32) | HALF_STEPS, tick=st.integers(0, 0xFFFF))
+def test_values_are_packed_as_by_the_rig(at, precision, value, tick):
+    """In single precision without double."""
+    with np.errstate(over="ignore"):
+        value = float(np.dtype(precision).type(value))
+    found, expected = packed(value, tick, at, precision)
     assert found == expected
 
 
@@ -131,20 +136,6 @@ def test_the_ends_of_a_range_are_packed_as_by_the_rig(at):
         for value in (end, math.nextafter(end, math.inf), math.nextafter(end, -math.inf)):
             found, expected = packed(value, 0, at)
             assert found == expected
-
-
-@SENT_FRAMES
-@given(
-    value=st.one_of(
-        st.floats(width=32),
-        st.integers(-(2**24), 2**24).map(lambda n: n * 2.0**-16),  # halves of a step
-        st.integers(-(2**31), 2**31).map(lambda n: float(np.float32(n * 1e-3))),
-        st.integers(-(2**31), 2**31).map(lambda n: float(np.float32(n * 1e-8))),
-    )
-)
-def test_single_precision_is_packed_without_double_as_by_the_rig(at, value):
-    found, expected = packed(value, 7, at, "float32")
-    assert found == expected
 
 
 @pytest.mark.parametrize("at", [0, 1])
