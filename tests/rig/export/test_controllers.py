@@ -136,13 +136,6 @@ def faulty(kind: str, precision: str = "float64") -> list[str]:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", ["frames-missing", "frames-corrupted"])
-def test_the_node_in_c_sends_the_same_bytes(kind):
-    node = controller_of("ecu", load("default", faulty(kind)))
-    python = log_of("default", faulty(kind))
-    assert python == log_of("default", faulty(kind), node)
-
-
 def test_the_node_in_c_hears_what_the_actuators_report():
     settings = [
         "duration_s=2.5", "fault.at_s=1.2", 'design.precision="float32"',
