@@ -193,7 +193,10 @@ def _other_line(message: can.Message, sent: bool, time_us: int) -> bytes:
     message.timestamp, message.channel, message.is_rx = time_us * 1e-6, CHANNEL, not sent
     text = io.StringIO()
     CanutilsLogWriter(text).on_message_received(message)
-    return text.getvalue().encode("ascii")
+    line = text.getvalue()
+    if message.is_remote_frame and message.dlc:  # how many bytes it asks for: not in that line
+        line = line.replace("#R", f"#R{message.dlc}")
+    return line.encode("ascii")
 
 
 _HEXADECIMAL: Final = np.frombuffer(b"0123456789ABCDEF", np.uint8)

@@ -36,7 +36,7 @@ def test_a_flood_changes_no_command_and_is_in_the_log_to_the_last_frame(tmp_path
                 )
                 other.send(message)
                 name = f"{message.arbitration_id:0{8 if kind == 'extended' else 3}X}"
-                content = "R" if kind == "remote" else message.data.hex().upper()
+                content = "R8" if kind == "remote" else message.data.hex().upper()
                 sent.append(f"{name}#{content} R")
 
         scenario = load("thesis-step", settings)
@@ -52,7 +52,7 @@ def test_a_flood_changes_no_command_and_is_in_the_log_to_the_last_frame(tmp_path
     assert len(lines) == len(wanted + sent)
     judged = lines[: lines.index(wanted[-1])]  # what came after the last status was not
     for name, identifier in (("STEER_TORQUE_CMD", "110#"), ("CONTROLLER_STATUS", "120#")):
-        foreign = sum(line.startswith(identifier) and "#R" not in line for line in judged)
+        foreign = sum(line.startswith(identifier) and "#R8" not in line for line in judged)
         ours = sum(line.startswith(identifier) for line in wanted[:-1])
         assert sum(summary.rejected_frames[name].values()) == foreign - ours > 0
     assert summary.bus_events == {}

@@ -3,6 +3,7 @@
 import itertools
 import re
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import can
 import numpy as np
@@ -14,6 +15,7 @@ from can_rig.nodes.bus_access import Pace
 from can_rig.nodes.realtime.timing import Histogram, Timing
 from can_rig.nodes.recording import LaterFile, Recorder
 from tests.clock import TurnedClock
+from tests.drawn_frames import frames
 from tests.rig.nodes.world import TICK_NS
 
 
@@ -45,10 +47,7 @@ def test_the_nth_frame_of_tick_k_is_at_k_ticks_and_n_microseconds(tmp_path):
 
 @given(st.integers(0, 10**10), st.integers(10, 10**6))
 def test_times_are_exact_decimals_however_long_the_run(tick, tick_us):
-    import tempfile
-    from pathlib import Path
-
-    with tempfile.TemporaryDirectory() as folder:
+    with TemporaryDirectory() as folder:
         path = Path(folder) / "bus.log"
         with Recorder(path) as recorder:
             recorder.at(tick * tick_us * 1000)
@@ -58,21 +57,12 @@ def test_times_are_exact_decimals_however_long_the_run(tick, tick_us):
     assert [int(s) * 10**6 + int(us) for s, us in times] == [tick * tick_us, tick * tick_us + 1]
 
 
-OTHER = [
-    {"is_extended_id": True, "arbitration_id": 0x1ABCDEF0},
-    {"is_extended_id": True, "arbitration_id": 0x101}, {"data": []}, {"data": [1, 2, 3]},
-    {"is_remote_frame": True, "data": None, "dlc": 0}, {"arbitration_id": 0x7FF},
-    {"arbitration_id": 0},
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("kwargs", OTHER, ids=str)
-@pytest.mark.parametrize("sent", [True, False])
-def test_python_can_reads_back_every_kind_of_frame(kwargs, sent, tmp_path):
-    path = tmp_path / "bus.log"
-    message = frame(7, **kwargs)
-    write(path, 1_000_000, [[], [(message, sent)]])
-    (back,) = can.LogReader(path)
+@given(frames(), st.booleans())
+def test_python_can_reads_back_every_kind_of_frame(message, sent):
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "bus.log"
+        write(path, 1_000_000, [[], [(message, sent)]])
+        (back,) = can.LogReader(path)
     assert back.equals(message, timestamp_delta=None, check_channel=False, check_direction=False)
     assert back.timestamp == pytest.approx(0.001)
     assert (back.channel, back.is_rx) == ("vcan0", not sent)
