@@ -20,6 +20,7 @@ from tests.rig.nodes.running import (
     lines_of,
     one_line,
     running,
+    summary_of,
     whole_ticks,
 )
 
@@ -182,7 +183,9 @@ def test_in_real_time_a_controller_that_ends_shortly_before_the_run_is_named(tmp
     )  # fmt: skip
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 3
-    assert "controller node: ended with exit status 0" in one_line(errors)
+    said = "controller node: ended with exit status 0"
+    assert said in one_line(errors)
+    assert "realtime" in summary_of(tmp_path / "run", said)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """Real time for real, for a few seconds: nothing here depends on how fast the machine is."""
 
 import json
-import os
 import signal
 
 import numpy as np
@@ -12,7 +11,7 @@ from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from tests.helpers import asked, refused, start
 from tests.processes import wait_for
-from tests.rig.nodes.running import LONG, alive, lines_of, one_line, running, summary_of
+from tests.rig.nodes.running import LONG, alive, lines_of, running, summary_of
 
 
 def signals_of(log) -> Signals:
@@ -63,33 +62,13 @@ def test_the_figures_are_in_run_json_and_in_the_table(finished):
         assert words in done.stdout
 
 
-@pytest.fixture
-def default(tmp_path):
-    """A long real-time run past its first ticks, its log and its two nodes."""
-    with running(tmp_path, "ideal", "--realtime") as run:
-        yield run
-
-
-def test_a_run_ends_when_a_node_is_killed_and_keeps_its_ticks(default):
-    process, log, nodes = default
-    victim = "controller"
-    before = lines_of(log) // 5
-    os.kill(nodes[victim], signal.SIGKILL)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 3
-    assert f"the {victim} node was ended by SIGKILL" in one_line(errors)
-    assert not any(map(alive, nodes.values()))
-    folder_is_complete(log.parent, victim)
-    assert len(signals_of(log)) >= before
-
-
-def test_ctrl_c_ends_both_cleanly(default):
-    process, log, nodes = default
-    process.send_signal(signal.SIGINT)
-    output, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert "Traceback" not in output + errors
-    assert not any(map(alive, nodes.values()))
+def test_ctrl_c_ends_both_cleanly(tmp_path):
+    with running(tmp_path, "ideal", "--realtime") as (process, log, nodes):
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=60)
+        assert process.returncode == 130
+        assert "Traceback" not in output + errors
+        assert not any(map(alive, nodes.values()))
     summary = folder_is_complete(log.parent, "interrupted")
     assert len(signals_of(log)) == summary["ticks"]
     assert summary["realtime"]["wake_up_lateness_us"]["max"] > 0.0
