@@ -69,7 +69,7 @@ def _line(text: UInt8s, at: int, has_direction: NDArray[np.int64], row: UInt8s) 
         if at < 0 or text[at] | scan.LOWER not in (_R, _T):
             return scan.BAD
         bits |= SENT * (text[at] | scan.LOWER == _T)
-        at += 1 + (text[at + 1] != _COMMA)  # Rx or R
+        at += 1 + (text[at + 1] not in (_COMMA, scan.NEWLINE))  # Rx or R
     bus, at = scan.number(text, _next_cell(text, at), scan.DECIMAL, 255)
     size, at = scan.number(text, _next_cell(text, at), scan.DECIMAL, FD_BYTES)
     for byte in range(size):

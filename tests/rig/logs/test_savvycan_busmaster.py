@@ -116,6 +116,7 @@ def test_written_for_savvycan(tmp_path):
         ("000005EB", "20000000", "line 2: not a valid frame"),
         ("false,Rx,0,8", "maybe,Rx,0,8", "line 2: not a valid frame"),
         ("false,Rx,0,8", "false,Qx,0,8", "line 2: not a valid frame"),
+        ("false,Rx,0,8", "false,R\n,0,8", "line 2: not a valid frame"),
         ("false,Rx,0,8", "false,Rx,256,8", "line 2: not a valid frame"),
         ("Rx,0,8,E8", "Rx,0,8,1E8", "line 2: not a valid frame"),
         ("36,69,\n", "36,69 x\n", "line 2: not a valid frame"),
