@@ -35,7 +35,9 @@ def test_frames_are_lost_in_their_place_and_in_their_window_alone(kind, place):
             frame = transmitters[index].frame(1.0, tick)
             before = bytes(frame.data)
             sent = wire.on_the_wire(frame, index, tick)
-            hit = kind.startswith("frames-") and tick in WINDOW and name == place
+            concerned = kind.startswith("frames-") and name == place
+            assert wire.concerns(index) == concerned
+            hit = concerned and tick in WINDOW
             if hit and kind == "frames-missing":
                 assert sent == []
             else:
@@ -219,14 +221,6 @@ def test_a_tick_of_the_sensor_always_has_a_frame_that_counts(kind):
         value = {True: {"forged": 3.0}.get(kind, "nothing"), False: 1.0}[tick in WINDOW]
         assert (used.value if used.value == used.value else "nothing") == value
         receiver.end_tick()
-
-
-@pytest.mark.parametrize("kind", ["none", "actuator-dead", "frames-missing", "frames-corrupted"])
-@pytest.mark.parametrize("place", PLACES[:2])
-def test_only_a_fault_of_frames_concerns_the_frames_of_its_channel(kind, place):
-    wire = faults(f"fault.kind={kind}", f"fault.channel={place}")
-    expected = [kind.startswith("frames-") and place == name for name in PLACES]
-    assert [wire.concerns(at) for at in range(3)] == expected
 
 
 # --- the fate of a run's frames ------------------------------------------------------------------

@@ -12,7 +12,7 @@ from can_rig.scenario import shipped
 from can_rig.scenario.box import CAR as UNCERTAIN, in_box
 from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.settings import Scenario
-from firmware_model.law.status import FaultState, Mode
+from firmware_model.law.status import FaultState, Mode, Verdict
 
 LATEST_S = 0.15  # of a confirmation: a third of what a driver takes to react
 LATEST_OF_S = {"satellite": 0.6}  # it takes 0.25 s to move by what noise lets anybody see
@@ -26,9 +26,11 @@ def alarms(scenario: Scenario) -> int:
 
 
 def confirmed_after_s(scenario: Scenario) -> float:
-    state = frameless(scenario).fault_state
+    trace = frameless(scenario)
+    state = trace.fault_state
     at = round(scenario.loss.at_s / scenario.tick_s)
     assert not (state[:at] == FaultState.CONFIRMED).any()
+    assert not (trace.verdict > Verdict.CANNOT_BE_TOLD).any()  # the monitor stops no drive
     return float(np.flatnonzero(state[at:] == FaultState.CONFIRMED)[0]) * scenario.tick_s
 
 
