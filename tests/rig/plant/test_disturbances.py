@@ -23,7 +23,6 @@ from tests.firmware.analysis.world import Integrated
 from tests.helpers import on_a_bus, on_no_bus
 
 FORCE, MOMENT, BANK, KICK, FRONT, REAR = range(6)
-GUST = "disturbance={kind='gust', force_n=3}"
 PUSH = "disturbance={kind='push', size=0.7, at_s=0.05, for_s=0.2, ramp_s=0.03}"
 TURBULENT = "disturbance=[{kind='turbulence', at_s=0, ramp_s=0, intensity_n=300, length_m=20}]"
 
@@ -237,7 +236,6 @@ def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick():
     [
         (["disturbance.force_n=3"], r"disturbance.kind: must be set"),
         (["disturbance=3"], r"disturbance = 3: must be a table, or several"),
-        (["disturbance.kind=gusty"], r"disturbance.kind = 'gusty': must be 'none', 'gust', "),
         (["disturbance.kind=gust"], r"disturbance.force_n: must be set for 'gust'"),
         (["disturbance.kind=friction"], r"disturbance.front: must be set for 'friction'"),
         (["disturbance.kind=turbulence", "disturbance.intensity_n=3"],
@@ -248,35 +246,12 @@ def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick():
          r"disturbance.arm_m = 1: says nothing of 'bank'; must be bank_percent"),
         (["disturbance.kind=gust", "disturbance.force=3"],
          r"disturbance.force: unknown key; did you mean force_n\?"),
-        (["disturbance.kind=gust", "disturbance.force_n=1e6"],
-         r"disturbance.force_n = 1000000.0: must be at most 100000"),
-        (["disturbance.kind=friction", "disturbance.rear=0"],
-         r"disturbance.rear = 0: must be at least 0.01"),
         (["disturbance.kind=gust", "disturbance.force_n=3", "disturbance.for_s=1",
           "disturbance.ramp_s=0.6"], r"disturbance.ramp_s = 0.6: must be at most 0.5, half of for"),
         (["disturbance.0.kind=bank", "disturbance.0.bank_percent=2", "disturbance.1.kind=bank"],
          r"disturbance.1.bank_percent: must be set for 'bank'"),
         (["disturbance.2.kind=bank"], r"must be a key of disturbance.0 or disturbance.1"),
         (["disturbance=[3]"], r"disturbance.0 = 3: must be a table"),
-        (["disturbance=[{kind='bank'}, {kind='none'}]"],
-         r"disturbance.0.bank_percent: must be set for 'bank'"),
-        ([GUST, "disturbance.at_s=-1"], r"disturbance.at_s = -1: must be at least 0"),
-        ([GUST, "disturbance.at_s=nan"], r"disturbance.at_s"),
-        ([GUST, "disturbance.at_s=soon"], r"disturbance.at_s = 'soon': must be a valid number"),
-        ([GUST, "disturbance.for_s=0"], r"disturbance.for_s = 0: must be greater than 0"),
-        ([GUST, "disturbance.ramp_s=-0.1"], r"disturbance.ramp_s = -0.1: must be at least 0"),
-        ([GUST, "disturbance.shape=square"],
-         r"disturbance.shape = 'square': must be 'ramp' or 'one-minus-cosine'"),
-        ([GUST, "disturbance.force_n=inf"], r"disturbance.force_n"),
-        ([GUST, "disturbance.arm_m=ahead"], r"disturbance.arm_m = 'ahead': must be a valid number"),
-        (["disturbance={kind='turbulence', intensity_n=0, length_m=5}"],
-         r"disturbance.intensity_n = 0: must be greater than 0"),
-        (["disturbance={kind='turbulence', intensity_n=5, length_m=0}"],
-         r"disturbance.length_m = 0: must be at least 0.1"),
-        (["disturbance={kind='bank', bank_percent=101}"],
-         r"disturbance.bank_percent = 101: must be at most 100"),
-        (["disturbance={kind='steering-kick', torque_nm='hard'}"],
-         r"disturbance.torque_nm = 'hard': must be a valid number"),
         (["disturbance={kind='friction', front=0.5, force_n=3}"],
          r"disturbance.force_n = 3: says nothing of 'friction'; must be front or rear"),
         (["disturbance={kind='steering-kick', torque_nm=2, at=3}"],
