@@ -5,13 +5,11 @@ import io
 import re
 
 import can
-import numpy as np
 import pytest
 from can.io import CanutilsLogReader, CanutilsLogWriter
 from hypothesis import example, given, settings, strategies as st
 
 from can_rig.errors import LogError
-from can_rig.logs.formats.candump import candump_lines
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     ERROR,
@@ -25,7 +23,6 @@ from can_rig.logs.frames import (
 from can_rig.logs.reading import read_log
 from tests.drawn_frames import frames
 from tests.rig.logs.candump_samples import CANDUMP, DIRECTED, GOOD, rows, whole, written
-from tests.rig.logs.messages import from_messages
 
 
 def test_what_candump_writes(tmp_path):
@@ -91,16 +88,6 @@ def test_the_same_frames_as_python_can(tmp_path_factory, messages, chunk_frames)
     for mine, other in zip(ours, theirs, strict=True):
         assert mine.equals(other, timestamp_delta=1e-6)
         assert mine.channel == other.channel
-
-
-@settings(max_examples=60)
-@given(st.lists(frames_drawn, max_size=20))
-def test_written_lines_read_the_same(tmp_path_factory, messages):
-    frames = from_messages(messages)
-    path = written(tmp_path_factory.mktemp("log"), "".join(candump_lines(frames)))
-    again = rows(whole(path))
-    assert [(*row[1:],) for row in again] == [(*row[1:],) for row in rows(frames)]
-    assert np.allclose([r[0] for r in again], frames.time_ns, rtol=0, atol=500)
 
 
 def test_time_stamps_are_exact(tmp_path):

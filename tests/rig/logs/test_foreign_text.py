@@ -156,7 +156,3 @@ def test_a_last_line_that_says_its_length_needs_no_newline(tmp_path, name):
     cut = [frame for chunk in log for frame in rows(chunk)]
     assert log.notice is not None
     assert cut == frames[:-1]
-
-
-def test_the_state_of_the_bus_is_no_frame(tmp_path):
-    assert len(whole(written(tmp_path, PEAK, "a.trc"))) == 3

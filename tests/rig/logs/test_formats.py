@@ -146,15 +146,6 @@ def test_an_mdf_file_without_groups_is_refused(tmp_path, head, said):
         concatenate(read_log(path))
 
 
-def test_a_damaged_binary_log_is_named(tmp_path):
-    path = by_python_can(tmp_path / "a.blf", plain(50))
-    data = bytearray(path.read_bytes())
-    data[144 + 40 : 144 + 60] = bytes(20)
-    path.write_bytes(data)
-    with pytest.raises(LogError, match=r"a.blf: byte \d+: does not follow the format"):
-        concatenate(read_log(path))
-
-
 def test_a_binary_log_that_was_never_finished(tmp_path):
     path = tmp_path / "a.blf"
     with can.BLFWriter(path) as writer:

@@ -42,12 +42,6 @@ def test_a_log_of_canoe(tmp_path):
     assert log.notice is None
 
 
-def test_the_first_frame_behind_a_short_header_is_read(tmp_path):
-    """python-can takes the line behind the header for one of it."""
-    text = LOG2ASC.replace("no internal events logged\n", "")
-    assert len(whole(written(tmp_path, text, "a.asc"))) == 5
-
-
 def test_time_stamps_from_line_to_line_are_refused(tmp_path):
     path = written(tmp_path, LOG2ASC.replace("absolute", "relative"), "a.asc")
     with pytest.raises(LogError, match=r"a.asc: .*'timestamps relative'.*absolute"):
