@@ -5,7 +5,6 @@ import pytest
 from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
 
 from can_rig.assessment.resolve import load
-from can_rig.plant.changing_car import plant_of
 from can_rig.plant.frameless import frameless
 from firmware_model.law.status import FaultState
 
@@ -54,15 +53,3 @@ def test_a_loss_is_confirmed_and_compensated_without_an_alarm_before(model, base
     noise_mps2 = chosen.plant.sensor.noise_mps2  # more than D* has
     assert np.abs(trace.error[settled]).max() < 1e-4 + noise_mps2
     assert np.abs(trace.command_2[settled]).min() > 500.0
-
-
-def test_it_reports_its_motion():
-    """In a steady bend the yaw rate is the lateral acceleration over the speed: D* is both."""
-    chosen = scenario("st")
-    plant = plant_of(chosen)
-    for _ in range(4000):
-        output, _ = plant.follow(20.0, 0.0, 1.0, 1.0)
-    motion = plant.report(20.0, 0.0, 1.0, 1.0)
-    assert motion["yaw_rate_rad_per_s"] == pytest.approx(output / chosen.plant.speed_mps, rel=1e-4)
-    assert motion["steering_angle_rad"] > 0.0
-    assert motion["true_dstar_mps2"] == output
