@@ -57,18 +57,6 @@ def test_scaling_at_the_edges(length, motorola, signed, raw, scale, offset):
     require_agreement(Database([message]), [(message, payload)] * 2)
 
 
-@settings(max_examples=30)
-@given(
-    st.lists(
-        st.tuples(st.integers(0, 4), st.binary(max_size=8) | st.binary(min_size=8, max_size=8)),
-        max_size=30,
-    )
-)
-def test_the_features_of_public_databases(draws):
-    database = cantools.database.load_string(FEATURES, "dbc")
-    require_agreement(database, [(database.messages[at], payload) for at, payload in draws])
-
-
 @pytest.mark.parametrize(
     ("length", "signed", "scale", "kind"),
     [(63, False, 1, np.int64), (64, False, 1, np.uint64), (64, True, 1, np.int64),
