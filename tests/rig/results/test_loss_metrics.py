@@ -275,24 +275,6 @@ def test_there_is_a_bound_where_the_log_has_every_command_that_is_lost():
         assert (metrics(scenario, signals)["unavoidable_deviation_mps2"] is not None) == there
 
 
-@pytest.mark.parametrize("latency", [0, 1, 2, 5])
-@pytest.mark.parametrize("left", [0.0, 0.4])
-def test_unavoidable_is_what_a_loss_does_before_anything_can_answer(latency, left):
-    """A step of the torque, missing in part for n + 1 ticks: scipy's step response of G1."""
-    settings = [f"latency_ticks={latency}", f"fault.left={left}", "duration_s=11.0"]
-    scenario = load("thesis-step", [*settings, "design.tau_s=0.02", "design.tau_q_s=0.02"])
-    torque = 40.0
-    signals = quiet(scenario, torque_nm=np.full(scenario.ticks, torque))
-    g1 = steer_by_wire().g1
-    times = np.linspace(0.0, (latency + 1) * scenario.tick_s, 2001)
-    _, step = signal.step(signal.ZerosPolesGain(g1.zeros, g1.poles, g1.gain), T=times)
-    found = metrics(scenario, signals)["unavoidable_deviation_mps2"]
-    assert found == pytest.approx((1.0 - left) * torque * step[-1], rel=1e-6)
-    # MATHS, trap 11
-    short = 0.5 * g1.gain * torque * ((latency + 1) * scenario.tick_s) ** 2
-    assert found == pytest.approx((1.0 - left) * short, rel=0.05)
-
-
 @pytest.mark.parametrize(("for_s", "noise", "told"), [(0.005, 1e-3, True), (0.005, 0.1, False)])
 def test_a_loss_that_ends_does_no_more_and_may_never_be_told(for_s, noise, told):
     """A pulse of missing torque: scipy's step response of G1, and the same after its end."""
