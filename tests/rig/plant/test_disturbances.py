@@ -244,8 +244,6 @@ def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick():
          r"disturbance.front = 0.4: says nothing of 'gust'; must be force_n or arm_m"),
         (["disturbance.kind=bank", "disturbance.bank_percent=3", "disturbance.arm_m=1"],
          r"disturbance.arm_m = 1: says nothing of 'bank'; must be bank_percent"),
-        (["disturbance.kind=gust", "disturbance.force=3"],
-         r"disturbance.force: unknown key; did you mean force_n\?"),
         (["disturbance.kind=gust", "disturbance.force_n=3", "disturbance.for_s=1",
           "disturbance.ramp_s=0.6"], r"disturbance.ramp_s = 0.6: must be at most 0.5, half of for"),
         (["disturbance.0.kind=bank", "disturbance.0.bank_percent=2", "disturbance.1.kind=bank"],
@@ -254,8 +252,6 @@ def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick():
         (["disturbance=[3]"], r"disturbance.0 = 3: must be a table"),
         (["disturbance={kind='friction', front=0.5, force_n=3}"],
          r"disturbance.force_n = 3: says nothing of 'friction'; must be front or rear"),
-        (["disturbance={kind='steering-kick', torque_nm=2, at=3}"],
-         r"disturbance.at: unknown key; did you mean at_s\?"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named_in_one_line(settings, said):

@@ -326,7 +326,6 @@ BAD = [
     ({"corner_hz": 1e-4}, "sensor.corner_hz = 0.0001: must be 0 (none) or at least 0.001"),
     ({"signal": "yaw"}, "sensor.signal = 'yaw': must be left out; only a class or an FMU"),
     ({"signal": "a b"}, "sensor.signal = 'a b': must be a name of letters"),
-    ({"noise_mps2": 1.0}, "sensor.noise_mps2: unknown key"),
 ]  # fmt: skip
 
 

@@ -151,25 +151,6 @@ def test_a_scenario_survives_json_and_is_frozen():
         scenario.tick_s = 1.0
 
 
-def sections():
-    tables = {key.rpartition(".")[0] for key in DEFAULTS}
-    return sorted(f"{table}." if table else "" for table in tables)
-
-
-@pytest.mark.parametrize("section", sections())
-def test_an_unknown_key_is_one_line_that_names_it(section):
-    with refuses(f"{section}zzz: unknown key"):
-        load("thesis-step", [f"{section}zzz=1"])
-
-
-@pytest.mark.parametrize("key", [key for key in OTHER if len(key.rpartition(".")[2]) > 4])
-def test_a_typo_in_any_key_gets_the_right_suggestion(key):
-    wrong = key[:-3] + key[-2:]
-    with pytest.raises(ScenarioError, match="unknown key") as caught:
-        load("thesis-step", [f"{wrong}=1"])
-    assert str(caught.value).endswith(f"did you mean {key.rpartition('.')[2]}?")
-
-
 LIMITS = [
     "budget.false_alarms_per_hour=1e300", "budget.suspicions_per_hour=1e300", "budget.box=0.999",
     "budget.actuator_box=0.999", "reference.amplitude_mps2=-1e6", "plant.friction=10",
