@@ -19,69 +19,39 @@ from can_rig.scenario.plant_settings import BUILT_IN, PlantSettings
 from can_rig.scenario.settings import DesignSettings, Scenario, leaves
 from firmware_model.design.vehicle import VehicleParameters
 from tests.helpers import refuses
+from tests.rig.scenario.test_refused_settings import keys_of_the_page
 
 ACTUATOR_LIMITS = re.compile(r"actuator\.(limit|rate)_")
-BY_NUMBERS = re.compile(
-    r"plant\.((kind|fmi_type|a|b|c|e)$|g1|g2|gw|input_|output)|network|controller"
-)  # elsewhere
+ELSEWHERE = re.compile(
+    r"name|model|network|controller|plant\.((kind|fmi_type|a|b|c|e)$|g1|g2|gw|input_|output)"
+    r"|drive\.(speed_mps|ramps|file)|design\.speeds_mps|reference\.(lane_changes_s|samples_mps2)"
+    r"|fault\.other|plant\.sensor\.is_made"
+)
+"""Keys with tests of their own."""
 DEFAULTS = leaves(Scenario("x"))
-OF_A_DRIVE = {  # tests/rig/scenario/test_drive.py
-    "drive.speed_mps",
-    "drive.ramps",
-    "drive.file",
-    "design.speeds_mps",
-    "reference.lane_changes_s",
-    "reference.samples_mps2",  # tests/rig/scenario/test_from_python.py
-}
+
+
+def another(key: str, allowed: str) -> object:
+    """A value that a key may have beside its default, by what the page of keys allows."""
+    default, words = DEFAULTS[key], re.findall(r'"([^"]+)"', allowed)
+    if words:
+        return next(word for word in words if word != default)
+    if allowed.startswith("true"):
+        return not default
+    if allowed.startswith("text"):
+        return "words"
+    if allowed.startswith("one of"):  # the kinds of faults
+        return "frames-missing"
+    if allowed.startswith("whole"):
+        return default - 1 if default > 1 else default + 1
+    return 1.25 * default if default else 0.02
+
+
 OTHER = {
-    "drive.speed_rate_max_mps2": 3.0, "drive.gap_max_s": 3.0,
-    "reference.lane_m": 4.0,
-    "reference.preview_s": 1.5,
-    "reference.reaction_s": 0.1,
-    "tick_s": 0.002, "duration_s": 3.0, "latency_ticks": 2, "seed": 7,
-    "plant.mass_kg": 1500.0, "plant.yaw_inertia_kgm2": 2500.0, "plant.speed_mps": 20.0,
-    "plant.front_axle_distance_m": 1.1, "plant.rear_axle_distance_m": 1.6,
-    "plant.rear_track_m": 1.5, "plant.steering_inertia_kgm2": 12.0,
-    "plant.steering_damping_nms_per_rad": 8.0, "plant.front_cornering_stiffness_n_per_rad": 34e3,
-    "plant.rear_cornering_stiffness_n_per_rad": 57e3, "plant.trail_m": 0.06,
-    "plant.lateral_weight": 0.4, "plant.variant": "published",
-    "plant.friction": 0.5,
-    "design.tau_s": 0.002, "design.alpha": 2, "design.tau_q_s": 0.002, "design.alpha_q": 3,
-    "design.feedback": False,
-    "design.estimator": "zoh",
-    "design.precision": "float32", "design.compensation": "off", "design.supervision": "none",
-    "design.safe_stop_s": 1.0,
-    "budget.box": 0.1, "budget.actuator_box": 0.3, "budget.false_alarms_per_hour": 1.0,
-    "budget.suspicions_per_hour": 60.0, "budget.peak_sensitivity": 3.0, "budget.spare_ticks": 1,
-    "budget.disturbance_mps2": 0.1,
-    "budget.gust_mps2": 0.2,
-    "reference.kind": "sine", "reference.amplitude_mps2": 2.0,
-    "reference.frequency_rad_per_s": 3.0, "reference.file": "r.csv",
-    "fault.kind": "frames-missing", "fault.channel": "force-difference", "fault.at_s": 1.5,
-    "fault.for_s": 0.5, "fault.left": 0.5, "fault.bias_mps2": 0.2, "fault.every": 3,
-    "fault.value": 1.0, "fault.offset": 2.0, "fault.drift_per_s": 3.0, "fault.amplitude": 4.0,
-    "fault.frequency_rad_per_s": 5.0, "fault.rate_per_s": 6.0, "fault.late_ticks": 7,
-    "fault.gain": -1.0, "fault.state_survives": True,
-    **{
-        f"plant.{actuator}.{key}": value
-        for actuator in ("torque_actuator", "force_difference_actuator")
-        for key, value in {
-            "lag_s": 0.005, "natural_frequency_rad_per_s": 200.0, "damping": 0.7,
-            "dead_time_s": 0.0015,
-        }.items()
-    },
-    "plant.torque_actuator.limit_nm": 50.0, "plant.torque_actuator.rate_nm_per_s": 5e3,
-    "plant.force_difference_actuator.limit_n": 500.0,
-    "plant.force_difference_actuator.rate_n_per_s": 5e4,
-    "plant.sensor.noise_mps2": 0.01, "plant.sensor.resolution_mps2": 0.005,
-    "plant.sensor.corner_hz": 18.0, "plant.sensor.dead_time_s": 0.002,
-    "limits.torque_nm": 100.0,
-    "limits.force_difference_n": 200.0, "limits.torque_rate_nm_per_s": 300.0,
-    "limits.force_difference_rate_n_per_s": 4e3, "limits.blind_s": 0.5, "limits.monitor": False,
-    "actuator.hold_s": 0.03,
-    "bus.bitrate": 500000, "bus.compute_s": 0.0001,
-    "description": "words",
-}  # fmt: skip
+    key: another(key, allowed)
+    for key, allowed in keys_of_the_page()
+    if key in DEFAULTS and not ELSEWHERE.match(key)
+} | {"design.compensation": "off"}  # which needs no verdict
 
 
 def test_the_defaults_are_the_thesis_s():
@@ -104,13 +74,8 @@ def test_what_the_shipped_scenarios_say_of_their_bus_and_actuators_holds():
     assert load("highway").plant.speed_mps == load("highway").model.speed_mps
 
 
-def test_the_list_of_changes_below_names_every_key():
-    own = {key for key in DEFAULTS if not key.startswith("model.")} - {
-        "name",
-        "fault.other",  # of further sensors
-        "plant.sensor.is_made",  # likewise
-    }
-    assert set(OTHER) == {key for key in own if not BY_NUMBERS.match(key) and key not in OF_A_DRIVE}
+def test_the_page_has_every_key_and_another_value_for_it():
+    assert set(OTHER) == {key for key in DEFAULTS if not ELSEWHERE.match(key)}
     assert all(DEFAULTS[key] != value for key, value in OTHER.items())
 
 
