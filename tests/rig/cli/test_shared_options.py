@@ -3,7 +3,6 @@
 import json
 import logging
 import math
-import re
 from pathlib import Path
 
 import pytest
@@ -16,8 +15,8 @@ from can_rig.errors import INTERRUPTED
 from can_rig.results import execution
 from can_rig.scenario import shipped
 from tests.helpers import asked, refused
+from tests.rig.scenario.page_of_keys import keys_of_the_page
 
-SCENARIO_KEYS = Path(__file__).parents[3] / "docs" / "scenario-keys.md"
 RUN = ("run", "thesis-step", "--set", "duration_s=0.05")
 
 
@@ -82,18 +81,7 @@ def test_the_shell_completes_names():
 def test_the_shell_completes_every_key_that_the_list_of_keys_has():
     complete = BashComplete(main, {}, "can-rig", "_CAN_RIG_COMPLETE")
     offered = [item.value for item in complete.get_completions(["run", "--set"], "")]
-    listed: list[str] = []
-    keys_of: dict[str, list[str]] = {}
-    for part in re.split(r"^## ", SCENARIO_KEYS.read_text(), flags=re.M)[1:]:
-        table = re.match(r"`\[(.*)\]`", part)
-        names = re.findall(r"^\| `(\w+)` \|", part, flags=re.M)
-        for other in re.findall(r"^The keys of `\[(.*)\]`\.$", part, flags=re.M):
-            names += keys_of[other]
-        keys_of[table[1] if table else ""] = names
-        listed += [f"{table[1]}.{name}" if table else name for name in names]
-    of_the_plant = [key for key in listed if key.startswith("plant.")]
-    listed += [f"model.{key.removeprefix('plant.')}" for key in of_the_plant]
-    assert sorted(offered) == sorted(listed)
+    assert sorted(offered) == sorted(key for key, _ in keys_of_the_page())
     assert complete.get_completions(["check", "--set"], "plant.sp")[0].value == "plant.speed_mps"
 
 

@@ -3,7 +3,6 @@
 import re
 import warnings
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -11,9 +10,12 @@ from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
 from can_rig.scenario.controls import controls
 from tests.helpers import refuses
+from tests.rig.scenario.page_of_keys import keys_of_the_page
 
-PAGE = Path(__file__).parents[3] / "docs" / "scenario-keys.md"
-ROW = re.compile(r"^\| `(\w+)` \|[^|]*\|[^|]*\| (.*?) \|", re.MULTILINE)
+KEYS = dict(keys_of_the_page())
+TABLES: dict[str, list[str]] = {}
+for each in KEYS:
+    TABLES.setdefault(each.rpartition(".")[0], []).append(each)
 BOUND = re.compile(r"([≥>≤<]) (-?\d[\d.]*(?:e[+-]?\d+)?)")
 BOUNDS = {"≥": "at least", ">": "greater than", "≤": "at most", "<": "less than"}
 OF_OTHER_TYPES = {
@@ -22,17 +24,6 @@ OF_OTHER_TYPES = {
 }  # fmt: skip
 """By the begin of what is allowed."""
 BEGUN = {"disturbance": ("disturbance.kind=none",), "sensor": ("sensor.measures=yaw-rate",)}
-
-
-def keys_of_the_page() -> Iterator[tuple[str, str]]:
-    """Each key with its table, and what the page allows; a model has the keys of a plant."""
-    for part in PAGE.read_text("utf-8").split("\n## ")[1:]:
-        heading = re.match(r"`\[(.*)\]`", part)
-        table = f"{heading[1]}." if heading else ""
-        for key, allowed in ROW.findall(part):
-            yield table + key, allowed
-            if table.startswith("plant.") and "number" in allowed:
-                yield f"model.{table.removeprefix('plant.')}{key}", allowed
 
 
 def not_allowed(allowed: str) -> Iterator[tuple[str, str]]:
@@ -52,23 +43,26 @@ def set_to(key: str, value: str) -> None:
     load("default", [*BEGUN.get(key.partition(".")[0], ()), f"{key}={value}"])
 
 
-@pytest.mark.parametrize(("key", "allowed"), [*keys_of_the_page()])
-def test_what_the_page_of_keys_does_not_allow_is_one_line_that_names_the_key(key, allowed):
-    for value, line in not_allowed(allowed):
-        with refuses(line) as caught:
-            set_to(key, value)
-        assert re.match(rf"scenario default: {key}(\.0)? = ", str(caught.value))
+@pytest.mark.parametrize("table", TABLES)
+def test_what_the_page_of_keys_does_not_allow_is_one_line_that_names_the_key(table):
+    for key in TABLES[table]:
+        for value, line in not_allowed(KEYS[key]):
+            with refuses(line) as caught:
+                set_to(key, value)
+            assert re.match(rf"scenario default: {key}(\.0)? = ", str(caught.value))
 
 
-@pytest.mark.parametrize("key", [key for key, _ in keys_of_the_page()])
-def test_an_unknown_key_is_one_line_that_names_it_and_a_typo_gets_the_right_suggestion(key):
-    table, dot, name = key.rpartition(".")
-    with refuses(f"{table}{dot}zzz: unknown key"):
-        set_to(f"{table}{dot}zzz", "1")
-    if len(name) > 4:
-        with refuses("unknown key") as caught:
-            set_to(key[:-3] + key[-2:], "1")
-        assert str(caught.value).endswith(f"did you mean {name}?")
+@pytest.mark.parametrize("table", TABLES)
+def test_an_unknown_key_is_one_line_that_names_it_and_a_typo_gets_the_right_suggestion(table):
+    unknown = f"{table}.zzz".lstrip(".")
+    with refuses(f"{unknown}: unknown key"):
+        set_to(unknown, "1")
+    for key in TABLES[table]:
+        name = key.rpartition(".")[2]
+        if len(name) > 4 and not key.startswith(("model.", "controller.")):  # more of the same
+            with refuses("unknown key") as caught:
+                set_to(key[:-3] + key[-2:], "1")
+            assert str(caught.value).endswith(f"did you mean {name}?")
 
 
 RAMP = "drive.ramps=[[1, 10], [3, 16]]"

@@ -19,7 +19,7 @@ from can_rig.scenario.plant_settings import BUILT_IN, PlantSettings
 from can_rig.scenario.settings import DesignSettings, Scenario, leaves
 from firmware_model.design.vehicle import VehicleParameters
 from tests.helpers import refuses
-from tests.rig.scenario.test_refused_settings import keys_of_the_page
+from tests.rig.scenario.page_of_keys import keys_of_the_page
 
 ACTUATOR_LIMITS = re.compile(r"actuator\.(limit|rate)_")
 ELSEWHERE = re.compile(
