@@ -1,7 +1,7 @@
 """Channels against their state space, and the properties the thesis's plants must have."""
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import mpmath
 import numpy as np
@@ -11,24 +11,12 @@ from scipy import linalg
 
 from firmware_model.design.factors import unstable
 from firmware_model.design.plants import Plant, chapter_2, numerators, steer_by_wire
-from firmware_model.design.vehicle import TABLE_3_2, VehicleParameters
+from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import ParameterError, ZeroChannelError
+from tests.firmware.design.test_vehicle import cars
 
 OMEGAS = np.logspace(-2, 5, 8)
-weights = st.sampled_from([0.0, 1.0]) | st.floats(1e-6, 1)
-
-
-def _car(scale: list[float], speed: float, d: float) -> VehicleParameters:
-    scaled = (
-        getattr(TABLE_3_2, f.name) * k for f, k in zip(fields(TABLE_3_2), scale, strict=False)
-    )
-    return VehicleParameters(*scaled, speed_mps=speed, lateral_weight=d)
-
-
-cars = st.builds(
-    _car, st.lists(st.floats(0.7, 1.3), min_size=10, max_size=10), st.floats(2, 50), weights
-)
 
 
 def _exact(plant: Plant, omega: float) -> list[complex]:

@@ -20,7 +20,7 @@ cars = st.builds(
     ),
     st.lists(factor, min_size=10, max_size=10),
     st.floats(2, 50),
-    st.floats(0, 1),
+    st.sampled_from([0.0, 1.0]) | st.floats(1e-6, 1),
 )
 
 
