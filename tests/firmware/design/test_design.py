@@ -126,15 +126,18 @@ def test_every_assumption_has_its_error(plant, change, error, named):
         design(plant, replace(PUBLISHED, **change))
 
 
-@pytest.mark.parametrize("field", ["tau_s", "tau_q_s"])
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
-def test_time_constants_refused_by_name(field, value):
-    with pytest.raises(ParameterError, match=rf"^{field} = {value}: must be finite and > 0"):
-        replace(PUBLISHED, **{field: value})
-
-
-@pytest.mark.parametrize("field", ["alpha", "alpha_q"])
-@pytest.mark.parametrize("value", [0, 1.0, True, "2"])
-def test_orders_refused_by_name(field, value):
-    with pytest.raises(ParameterError, match=rf"^{field} = {value!r}: must be an integer >= 1"):
-        replace(PUBLISHED, **{field: value})
+@pytest.mark.parametrize(
+    ("field", "alone"),
+    [("tau_s", lambda value: compensator(chapter_2().g2, value, 1)),
+     ("tau_q_s", lambda value: tracking(chapter_2().g1, value, 2)),
+     ("alpha", lambda value: compensator(chapter_2().g2, 0.001, value)),
+     ("alpha_q", lambda value: tracking(chapter_2().g1, 0.001, value))],
+)  # fmt: skip
+def test_numbers_of_no_filter_are_refused_by_name(field, alone):
+    """By the specification, and where a part is designed alone."""
+    is_time = field.startswith("tau")
+    meant = "finite and > 0" if is_time else "an integer >= 1"
+    for value in (0.0, -1.0, math.nan, math.inf) if is_time else (0, -1, 1.0, 1.5, True, "2"):
+        for made in (alone, lambda value: replace(PUBLISHED, **{field: value})):
+            with pytest.raises(ParameterError, match=rf"^{field} = {value!r}: must be {meant}"):
+                made(value)
