@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from firmware_model.law import controller
-from firmware_model.law.core import biquad
 from firmware_model.law.structs import FloatArray
 from firmware_model.law.supervision.mismatch import innovation
 from firmware_model.law.supervision.sensor_error import (
@@ -28,67 +28,70 @@ def with_lags(table: Any) -> Any:
 
 
 def through_lags(values: FloatArray) -> FloatArray:
-    answers = np.zeros(len(values) + 2)
-    for k, value in enumerate(values):
-        answers[k + 2] = 0.05 * value + 1.6 * answers[k + 1] - 0.65 * answers[k]
-    return answers[2:]
+    return np.asarray(signal.lfilter([0.05], [1.0, -1.6, 0.65], values))
 
 
-def filtered(table: Any, state: Any, residual: FloatArray, x: FloatArray) -> list[float]:
-    own = state.supervision
+def filtered(
+    table: Any, state: Any, residual: FloatArray, x: FloatArray, known: float = 0.0
+) -> list[float]:
+    own = state.supervision.mismatch
     rows, n = [], int(table.mismatch.n)
     for value, row in zip(residual.tolist(), x, strict=True):
-        own.mismatch.regressor[:n] = row
-        rows.append(float(innovation(table.mismatch, own.mismatch, value, 0.0, 0.0, 0.0)))
+        own.regressor[:n] = row
+        rows.append(float(innovation(table.mismatch, own, value, known, 0.0, 0.0)))
     return rows
+
+
+def erring(
+    name: str, lags: bool, error: FloatArray, finds: dict[int, tuple[float, bool]], onset: int = 0
+) -> tuple[FloatArray, FloatArray, Any, Any]:
+    """Innovations with and without the error of a sensor, and both states.
+
+    In the ticks ``finds`` the hypothesis ``name`` has that size, and then the error is over or not;
+    its onset is the first tick, and ``onset``.
+    """
+    table = with_one_onset(mismatch=other_cars(3), noise_pole=0.6)
+    if lags:
+        table = with_lags(table)
+    draw = np.random.default_rng(5)
+    x = draw.standard_normal((TICKS, int(table.mismatch.n)))
+    healthy = 1e-4 * draw.standard_normal(TICKS)
+    shown = through_lags(error) if lags else error
+    fresh, state, rows = controller.init(table)[0], controller.init(table)[0], []
+    without = filtered(table, fresh, healthy, x)
+    own = state.supervision.hypotheses
+    row, drift = own.signatures.rows[ROW[name]], own.signatures.rows[DRIFT_ROW]
+    drift.ramp = -1.0
+    for k in range(TICKS):
+        known = sensor_error_shown(table, own.sensor_error)
+        rows += filtered(table, state, healthy[[k]] - shown[[k]], x[[k]], known)
+        weigh(table, state, rows[-1])
+        if k in finds:
+            row.candidate["size_now"], over = finds[k]
+            ramp = drift.ramp if name == "sensor_drifting" else -1.0
+            known = state.supervision.mismatch
+            assert learn_sensor_error(table, own.sensor_error, known, row, ramp) == over
+            begin_all(own.signatures)
+        tick_on(table, state)
+        advance_sensor_error(table, own.sensor_error)
+        if k == onset - 1:
+            begin_all(own.signatures)
+    return np.array(rows), np.array(without), state.supervision, fresh.supervision
 
 
 @pytest.mark.parametrize("lags", [False, True])
 @pytest.mark.parametrize("name", ["sensor_biased", "sensor_drifting"])
 def test_what_follows_is_what_would_have_been_without_the_error(name, lags):
     """Innovations, θ and gains: the filter has forgotten the error, and gets none any more."""
-    table = with_one_onset(mismatch=other_cars(3), noise_pole=0.6)
-    if lags:
-        table = with_lags(table)
-    draw = np.random.default_rng(5)
-    x = draw.standard_normal((TICKS, int(table.mismatch.n)))
-    healthy, size = 1e-4 * draw.standard_normal(TICKS), 0.3
+    size = 0.3
     error = np.full(TICKS, size)
     if name == "sensor_drifting":  # it stops when it is found
         error *= np.minimum(np.arange(TICKS) + 1.0, FOUND)
-    shown = through_lags(error) if lags else error
-    fresh = controller.init(table)[0]
-    without = filtered(table, fresh, healthy, x)
-    state, rows = controller.init(table)[0], []
-    own = state.supervision.hypotheses.signatures
-    own.rows[DRIFT_ROW].ramp, n = -1.0, int(table.mismatch.n)  # onset: the first tick
-    for k in range(TICKS):
-        known = sensor_error_shown(table, state.supervision.hypotheses.sensor_error)
-        state.supervision.mismatch.regressor[:n] = x[k]
-        new = innovation(
-            table.mismatch, state.supervision.mismatch, healthy[k] - shown[k], known, 0.0, 0.0
-        )
-        rows.append(new)
-        weigh(table, state, new)
-        if k == FOUND - 1:
-            own.rows[ROW[name]].candidate["size_now"] = size
-            ramp = own.rows[DRIFT_ROW].ramp if name == "sensor_drifting" else -1.0
-            assert not learn_sensor_error(
-                table,
-                state.supervision.hypotheses.sensor_error,
-                state.supervision.mismatch,
-                own.rows[ROW[name]],
-                ramp,
-            )
-            begin_all(own)
-        tick_on(table, state)
-        advance_sensor_error(table, state.supervision.hypotheses.sensor_error)
-    assert state.supervision.hypotheses.sensor_error.offset == pytest.approx(error[-1])
+    rows, without, state, fresh = erring(name, lags, error, {FOUND - 1: (size, False)})
+    assert state.hypotheses.sensor_error.offset == pytest.approx(error[-1])
     np.testing.assert_allclose(rows[FOUND:], without[FOUND:], rtol=1e-6, atol=1e-11)
-    np.testing.assert_allclose(
-        state.supervision.mismatch.theta, fresh.supervision.mismatch.theta, rtol=1e-6, atol=1e-11
-    )
-    assert np.abs(np.array(rows[:FOUND]) - without[:FOUND]).max() > 0.1
+    np.testing.assert_allclose(state.mismatch.theta, fresh.mismatch.theta, rtol=1e-6, atol=1e-11)
+    assert np.abs(rows[:FOUND] - without[:FOUND]).max() > 0.1
 
 
 @pytest.mark.every_case
@@ -120,44 +123,9 @@ def test_an_error_is_gone_where_less_than_half_is_left(sizes, gone):
 @pytest.mark.parametrize("lags", [False, True])
 def test_an_error_that_ends_leaves_nothing(lags):
     """Known from FOUND on, ended at tick 40, found to be over there: from then on as without it."""
-    table, ends = with_one_onset(mismatch=other_cars(3), noise_pole=0.6), 40
-    if lags:
-        table = with_lags(table)
-    draw = np.random.default_rng(5)
-    x = draw.standard_normal((TICKS, int(table.mismatch.n)))
-    healthy, size = 1e-4 * draw.standard_normal(TICKS), 0.3
+    size, ends = 0.3, 40
     error = np.where(np.arange(TICKS) < ends, size, 0.0)
-    shown = through_lags(error) if lags else error
-    without = filtered(table, controller.init(table)[0], healthy, x)
-    state, rows = controller.init(table)[0], []
-    own, known = state.supervision.hypotheses.signatures, state.supervision.hypotheses.sensor_error
-    biased, n = own.rows[BIAS_ROW], int(table.mismatch.n)
-    own.rows[DRIFT_ROW].ramp = -1.0
-    for k in range(TICKS):
-        told = sensor_error_shown(table, known)
-        state.supervision.mismatch.regressor[:n] = x[k]
-        rows.append(
-            innovation(
-                table.mismatch, state.supervision.mismatch, healthy[k] - shown[k], told, 0.0, 0.0
-            )
-        )
-        weigh(table, state, rows[-1])
-        if k in (FOUND - 1, ends):
-            biased.candidate["size_now"] = size if k < ends else -size
-            over = learn_sensor_error(table, known, state.supervision.mismatch, biased, -1.0)
-            assert over == (k == ends)
-            begin_all(own)
-        tick_on(table, state)
-        advance_sensor_error(table, known)
-        if k == ends - 1:
-            begin_all(own)
-    assert known.offset == 0.0
+    finds = {FOUND - 1: (size, False), ends: (-size, True)}
+    rows, without, state, _ = erring("sensor_biased", lags, error, finds, onset=ends)
+    assert state.hypotheses.sensor_error.offset == 0.0
     np.testing.assert_allclose(rows[ends + 1 :], without[ends + 1 :], rtol=1e-6, atol=1e-11)
-
-
-def test_lags_of_these_tests_are_those_of_the_section():
-    table = with_lags(with_one_onset())
-    memory, u = biquad.at_rest(), np.random.default_rng(1).standard_normal(30)
-    m = table.estimator.measurement
-    answers = [biquad.advance(m, memory, value) for value in u]
-    np.testing.assert_allclose(answers, through_lags(u), rtol=1e-12, atol=1e-14)
