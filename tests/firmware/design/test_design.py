@@ -74,26 +74,6 @@ def test_printed_3_36_is_factored_and_its_channel_1_tracked():
     assert whole.compensator.is_stable()
 
 
-def test_chapter_2_is_open_loop():
-    whole = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
-    assert whole.tracking is None
-    assert whole.compensator(S) == pytest.approx(
-        (S + 4) * (S + 5) / ((S + 6) * (0.01 * S + 1)), rel=1e-13
-    )  # (2.37) with (2.43)
-
-
-def test_without_compensation():
-    whole = design(steer_by_wire(), DesignSpecification(compensation=False))
-    assert whole.compensator is None
-    assert whole.tracking is not None
-
-
-def test_q_reaches_the_estimator():
-    q = ZeroPoleGain.lag(0.1, 1)
-    whole = design(chapter_2(), DesignSpecification(q=q))
-    assert whole.estimator.one_plus_q(S) == pytest.approx(1 + q(S), rel=1e-12)
-
-
 def test_what_is_not_asked_for_is_not_refused():
     axis_zero = _plant([1, 0], [1, 3], [1, 3, 2])
     assert design(axis_zero, DesignSpecification(feedback=False)).tracking is None

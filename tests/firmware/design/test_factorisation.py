@@ -11,7 +11,6 @@ from firmware_model.errors import AxisZeroError, UnstablePlantError, ZeroChannel
 
 AXIS = 1j * np.concatenate([-np.logspace(3, -3, 20), [0], np.logspace(-3, 3, 20)])
 DENOMINATOR = [1, 27.8684, 494.8547, 5616.1, 20333]
-PRINTED_3_36 = ZeroPoleGain.from_coefficients([0.0023, 0.00352, 0.8719, 5.8851], DENOMINATOR)
 
 away = st.floats(0.1, 30) | st.floats(-30, -0.1)
 zero_lists = st.builds(
@@ -43,24 +42,6 @@ def test_factors(g):
 )
 def test_a_minimum_phase_channel_is_its_own_outer_factor(g):
     assert inner_outer(g) == (ZeroPoleGain.constant(1.0), g)
-
-
-def test_3_36_as_printed_is_non_minimum_phase():
-    inner, outer = inner_outer(PRINTED_3_36)
-    assert inner.zeros[0] == pytest.approx(2.37 + 20.1j, abs=0.05)
-    assert len(inner.zeros) == 2
-    # (z - s)(z̄ - s)/((z̄ + s)(z + s)) written out
-    z = inner.zeros[0]
-    expected = (z - AXIS) * (z.conjugate() - AXIS) / ((z.conjugate() + AXIS) * (z + AXIS))
-    assert inner(AXIS) == pytest.approx(expected, rel=1e-12)
-    assert inner.dc_gain == 1.0
-    assert outer.dc_gain == PRINTED_3_36.dc_gain
-
-
-def test_one_real_zero_in_closed_form():
-    inner, outer = inner_outer(ZeroPoleGain((4,), (-1, -2), 3.0))
-    assert inner == ZeroPoleGain((4,), (-4,), -1.0)  # (4 - s)/(4 + s)
-    assert outer == ZeroPoleGain((-4,), (-1, -2), -3.0)
 
 
 @pytest.mark.parametrize(

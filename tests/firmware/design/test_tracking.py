@@ -48,11 +48,6 @@ def test_3_40_with_its_errata():
     assert denominator[-1] == 0.0
 
 
-def test_the_integrator_is_exact():
-    for order in (2, 3, 9):
-        assert tracking(chapter_2().g1, 0.0137, order).controller.poles.count(0j) == 1
-
-
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 8, 13, 100])
 def test_roots_of_one(order):
     roots = roots_of_one_less_one(order)
