@@ -129,6 +129,13 @@ def with_one_onset(**changes: Any) -> Any:
     return table
 
 
+def restarted_table(**changes: Any) -> Any:
+    """Of a controller that may begin, or begin anew, while the car moves."""
+    specification = DesignSpecification(tau_s=0.05, tau_q_s=0.02)
+    known = {"mismatch": other_cars(2), "on_confirmation": True, **changes}
+    return build(design(CAR, specification), Target(TICK_S, 1, "zoh", **known))
+
+
 class Loop:
     """The model of the law with a sensor, in a sine; channel 1 works to a part."""
 

@@ -5,28 +5,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.design.continuous_design import DesignSpecification, design
-from firmware_model.discretisation.tables import build
-from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.law import controller
 from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.supervision import knowledge
-from tests.firmware.law.cases import CAR, TICK_S, Loop, other_cars
+from tests.firmware.law.cases import Loop, restarted_table
 
 PLANT = Loop.plant
 
 
 def table_of(**changes: Any) -> Any:
-    known = {
-        "latency_ticks": 1,
-        "estimator": "zoh",
-        "mismatch": other_cars(2),
-        "on_confirmation": True,
-        "noise_rms": 0.002,
-    } | changes
-    specification = DesignSpecification(tau_s=0.05, tau_q_s=0.02)
-    return build(design(CAR, specification), Target(tick_s=TICK_S, **known))
+    return restarted_table(**{"noise_rms": 0.002, **changes})
 
 
 TABLE = table_of()

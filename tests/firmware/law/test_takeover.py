@@ -1,16 +1,13 @@
 """A controller that begins while the plant moves."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections, realisation
-from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.takeover import (
     LISTENING,
     fill_takeover,
@@ -31,24 +28,13 @@ from firmware_model.law.supervision.takeover import (
     show_motion,
     wanted_level,
 )
-from tests.firmware.law.cases import CAR, TICK_S, Loop, other_cars
+from tests.firmware.law.cases import TICK_S, Loop, restarted_table
 
 MEMORY = 50.0
 
 
-def table_of(**changes: Any) -> Any:
-    specification = DesignSpecification(tau_s=0.05, tau_q_s=0.02)
-    known = {
-        "latency_ticks": 1,
-        "estimator": "zoh",
-        "mismatch": other_cars(2),
-        "on_confirmation": True,
-    } | changes
-    return build(design(CAR, specification), Target(tick_s=TICK_S, **known))
-
-
 def model() -> tuple[np.ndarray, np.ndarray]:
-    g1 = table_of().estimator.channel_1
+    g1 = restarted_table().estimator.channel_1
     phi, _, c, *_ = realisation(Sections(np.array(g1.coefficients[: g1.n], float), TICK_S))
     return phi, c
 
@@ -59,13 +45,13 @@ def restarted(away: int, begins: int = 2000) -> tuple[Loop, float]:
     Returns:
         The loop, and the largest torque before.
     """
-    loop = Loop(table_of())
+    loop = Loop(restarted_table())
     before = loop.run(begins)
     for _ in range(away):
         loop.state = Loop.plant.phi @ loop.state
         loop.ticks += 1
     loop.acting = np.zeros(2) if away else loop.acting
-    loop.firmware = Firmware(table_of())
+    loop.firmware = Firmware(restarted_table())
     loop.firmware.begin()
     return loop, max(abs(answer.command_1) for answer in before[500:])
 
@@ -87,7 +73,7 @@ def test_the_car_comes_back_to_its_reference_and_nothing_is_called_a_fault(away,
 @pytest.mark.parametrize("begins", [1500, 2000, 2500, 3000])
 def test_a_restart_within_a_tick_moves_the_car_little(begins):
     loop, usual = restarted(0, begins)
-    undisturbed = Loop(table_of())
+    undisturbed = Loop(restarted_table())
     undisturbed.run(begins)
     last = loop.acting[0]
     apart = []
@@ -106,7 +92,7 @@ def test_without_a_takeover_the_same_restart_is_a_jump():
     """The measure of the tests above: a controller that believes the car at rest."""
     loop, usual = restarted(0)
     last = loop.acting[0]
-    loop.firmware = Firmware(table_of())
+    loop.firmware = Firmware(restarted_table())
     (answer, *_) = loop.run(200)
     assert abs(answer.command_1 - last) > 1.5 * usual
 
@@ -122,7 +108,7 @@ def test_a_motor_that_died_before_is_found():
 
 def test_in_a_takeover_a_loss_needs_the_evidence_that_chance_gives_once_in_a_hundred():
     """One candidate a tick, each beyond h by chance with e^-h (Wald)."""
-    table = table_of()
+    table = restarted_table()
     limits, test = table.decision, controller.init(table)[0].supervision.sequential_test
     ticks, needed = float(table.takeover.lasting), []
     for of_takeover in (0, 1):
@@ -132,7 +118,7 @@ def test_in_a_takeover_a_loss_needs_the_evidence_that_chance_gives_once_in_a_hun
         )
     assert needed[0] == limits.confirm
     assert ticks * math.exp(-needed[1]) == pytest.approx(1e-2, rel=1e-9)
-    lax = table_of(false_alarms_per_hour=1e3)
+    lax = restarted_table(false_alarms_per_hour=1e3)
     assert lax.decision.takeover == lax.decision.confirm < needed[1]
 
 
@@ -149,7 +135,7 @@ def test_actuators_at_rest_are_met_at_rest():
 @pytest.mark.compiled
 def test_a_plant_at_rest_is_not_taken_over():
     """The same bits as of a controller that is told so, noise or not."""
-    table = table_of(noise_rms=0.01, resolution=0.001)
+    table = restarted_table(noise_rms=0.01, resolution=0.001)
     begun, told = (Loop(table, noise_rms=0.01) for _ in range(2))
     begun.firmware.begin()
     assert begun.run(300) == told.run(300)
@@ -233,7 +219,7 @@ def test_the_doubt_is_the_variance_that_noise_leaves():
 
 
 def test_a_takeover_ends_once_its_motion_has_faded():
-    table = table_of()
+    table = restarted_table()
     state, g1 = controller.init(table)[0].supervision.takeover, table.estimator.channel_1
     begin_takeover(g1, state, 0.0, 1.0)
     shown = []
