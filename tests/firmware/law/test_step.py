@@ -63,9 +63,16 @@ def of(target: Target, **changes: Any) -> tuple[Any, Any, Filters]:
 @pytest.mark.parametrize("latency", [0, 2])
 @pytest.mark.parametrize("rule", FEEDING)
 def test_the_decision_sees_the_residual_and_what_both_models_add(rule, latency):
-    """With feedthrough the held command 2 counts, because this tick's command is unknown."""
-    table, state, filters = of(Target(TICK_S, latency, rule))
+    """With feedthrough the held command 2 counts, because this tick's command is unknown.
+
+    Commands count as the plant gets them: limited, rounded and late.
+    """
+    steps = {"lsb_1": 0.25, "lsb_2": 2.0}
+    table, state, filters = of(Target(TICK_S, latency, rule, limit_1=40.0, limit_2=500.0, **steps))
     told = run(table, state)
+    for command, limit, lsb in (("command_1", 40.0, 0.25), ("command_2", 500.0, 2.0)):
+        assert np.abs(told[command]).max() == limit
+        np.testing.assert_array_equal(told[command] % lsb, 0.0)
     u1, u2 = late(told["command_1"], latency), late(told["command_2"], latency)
     both = through(filters.estimator_1, u1) + through(filters.estimator_2, u2)
     np.testing.assert_allclose(told["fault_estimate"], both - MEASURED, atol=1e-9)
