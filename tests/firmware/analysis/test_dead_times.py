@@ -5,10 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
-from scipy.signal import cont2discrete
 
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, law_in
 from firmware_model.analysis.sampled_loop import sampled_loop
@@ -19,7 +18,6 @@ from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
-from firmware_model.discretisation.tustin import zoh
 from firmware_model.errors import ParameterError
 from firmware_model.firmware import Firmware
 from firmware_model.law.structs import FloatArray
@@ -63,6 +61,7 @@ def continuously(plant: Plant, commands: FloatArray, left: FloatArray) -> FloatA
 
 @settings(max_examples=8, deadline=None)
 @given(delays, delays, delays, st.integers(0, 2**31))
+@example(0.003, 0.001, 0.002, 3)  # whole ticks
 def test_any_dead_time_is_exact(first_s, second_s, sensor_s, seed):
     plant = behind(
         CAR,
@@ -78,38 +77,6 @@ def test_any_dead_time_is_exact(first_s, second_s, sensor_s, seed):
     found = [follow(constants, memory, k, *commands[k], *left[k]) for k in range(12)]
     expected = continuously(plant, commands, left)
     assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
-
-
-def test_whole_ticks_of_dead_time_only_shift():
-    ideal = sample(CAR, TICK_S)
-    late = sample(
-        behind(CAR, Stage(dead_time_s=0.003), Stage(dead_time_s=0.003), Stage(dead_time_s=0.002)),
-        TICK_S,
-    )
-    commands = np.random.default_rng(3).normal(0.0, 300.0, (30, 2))
-    answers = []
-    for plant in (ideal, late):
-        constants, memory = plant.constants, plant.memory
-        answers.append([follow(constants, memory, k, *commands[k], 1.0, 1.0) for k in range(30)])
-    now, then = np.array(answers[0]), np.array(answers[1])
-    assert (then[3:, 0] == now[:-3, 0]).all()
-    assert (then[5:, 1] == now[:-5, 1]).all()
-    assert not then[:3, 0].any()
-    assert not then[:5, 1].any()
-
-
-@pytest.mark.parametrize("tick_s", [1e-4, 1e-3, 0.01, 0.02])
-@pytest.mark.parametrize("lag_s", [2e-4, 5e-3, 0.05])
-def test_zoh_of_a_channel_with_lags_is_scipy_s(tick_s, lag_s):
-    """Fast poles beside slow ones, and three zeros more from sampling."""
-    plant = behind(CAR, Stage(lag_s), Stage(lag_s), Stage(0.0088))
-    points = np.exp(1j * np.linspace(0.01, np.pi, 50))
-    for channel, g in enumerate((plant.g1, plant.g2)):
-        b = plant.b[:, [channel]]
-        a_d, b_d, c_d, _, _ = cont2discrete((plant.a, b, plant.c, np.zeros((1, 1))), tick_s)
-        expected = [(c_d @ np.linalg.solve(z * np.eye(len(a_d)) - a_d, b_d)).item() for z in points]
-        found = zoh(g, tick_s)(points)
-        assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
 
 
 KNOWN = behind(
