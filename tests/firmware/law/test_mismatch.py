@@ -1,6 +1,5 @@
 """What is learnt of the car: x by scipy's filters, and what θ and its variance make of it."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -136,48 +135,6 @@ def test_what_is_not_finite_stays_in_no_memory():
     for model in (1e200, 0.0):
         predict(table, state, 0.0, model, 0.0)
         assert state.supervision.mismatch.remainder == 0.0
-
-
-STILL = {"forgetting": 0.0, "growth": 0.0, "white": 0.0}
-
-
-@pytest.mark.parametrize("place", [(0.5, 0.0), (-0.7, 0.4)])
-def test_theta_finds_the_place_of_a_car(place):
-    """A car that lies along the directions exactly, and noise: θ to within its own deviation."""
-    tables = changed(tables_of(2)[0], mismatch={**STILL, "noise": 1e-10})
-    tables[0].mismatch.whitener.n = 0
-    state, x = controller.init(tables[0])[0], differences(2)
-    noise = 1e-5 * np.random.default_rng(5).standard_normal(len(COMMANDS))
-    residuals = place[0] * x[0] + place[1] * x[1] + noise
-    for command, model, residual in zip(COMMANDS, MODELLED, residuals, strict=True):
-        predict(tables[0], state, command, model, 0.0)
-        innovation(tables[0].mismatch, state.supervision.mismatch, residual, 0.0, 0.0, 0.0)
-    deviation = np.sqrt(np.diag(covariance_of(state.supervision.mismatch)))[2:4]
-    assert (np.abs(state.supervision.mismatch.theta[2:4] - place) < 4.0 * deviation).all()
-    assert deviation.max() < 0.05
-
-
-@pytest.mark.compiled
-@pytest.mark.parametrize("colour", [0.0, 0.9])
-def test_innovations_of_coloured_noise_on_another_car_are_white_and_as_large_as_said(colour):
-    """A car within the box, that does not wander: S is what its innovations have in the mean."""
-    ticks, draw = 1000, np.random.default_rng(7)
-    tables = changed(tables_of(2, noise_pole=colour)[0], mismatch=STILL)
-    u = 30.0 * np.sin(0.02 * np.arange(ticks))
-    modelled = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, u)
-    noise = signal.lfilter(
-        [NOISE_RMS * math.sqrt(1.0 - colour**2)], [1.0, -colour], draw.standard_normal(ticks)
-    )
-    x = differences(2, u)
-    state, new = controller.init(tables[0])[0], []
-    for k, residual in enumerate(noise + 0.6 * x[0] - 0.3 * x[1]):
-        predict(tables[0], state, u[k], modelled[k], 0.0)
-        value = innovation(tables[0].mismatch, state.supervision.mismatch, residual, 0.0, 0.0, 0.0)
-        new.append(value / math.sqrt(state.supervision.mismatch.variance))
-    normal = np.array(new[200:])
-    assert normal.var() == pytest.approx(1.0, abs=0.1)
-    for lag in (1, 2, 5):
-        assert abs(np.mean(normal[lag:] * normal[:-lag])) < 4.0 / math.sqrt(ticks)
 
 
 def test_a_settled_car_has_not_moved():
