@@ -143,4 +143,5 @@ def test_a_reset_fills_what_is_in_the_dead_times():
         answer = firmware.step(1.0, 1.0)
         assert answer.fault_estimate == pytest.approx(0.0, abs=1e-9)
         assert answer.command_1 == pytest.approx(torque, rel=1e-6)
+        assert answer.command_2 == pytest.approx(0.0, abs=1e-6)
     assert torque == pytest.approx(1.0 / CAR.g1.dc_gain)

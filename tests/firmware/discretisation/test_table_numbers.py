@@ -140,16 +140,6 @@ def test_the_reference_shaper_belongs_to_a_loop_and_a_limit(plan, acceleration, 
         assert shaper.acceleration == pytest.approx(np.diff(parabola, 2)[0], rel=1e-9)
 
 
-@pytest.mark.parametrize("latency", [0, 1, 2])
-@pytest.mark.parametrize("tick_s", TICKS_S)
-def test_tracking_of_the_closed_loop(tick_s, latency):
-    table = build(CLOSED, Target(tick_s, latency))
-    filters = discretise(CLOSED, Target(tick_s, latency))
-    assert table.tracking.feedback == 1.0
-    at_rest = np.array([1.0 + 0j])
-    assert (filters.tracking(at_rest) * filters.estimator_1(at_rest))[0] == pytest.approx(1.0)
-
-
 def test_in_open_loop_the_reference_is_the_command():
     table = build(OPEN, Target(1e-3))
     assert (table.tracking.feedback, table.tracking.loop_inverse) == (0.0, 1.0)

@@ -134,19 +134,6 @@ def test_an_overflow_of_the_measurement_leaves_a_confirmed_loss_compensated(over
     assert trace.command_2[-1] == pytest.approx(1.0 / CAR.g2.dc_gain, rel=0.01)
 
 
-@pytest.mark.parametrize("reference", [1.0, -0.4, 0.0])
-@pytest.mark.parametrize("latency", [0, 2])
-def test_reset_to_steady_state_repeats_the_settled_commands(reference, latency):
-    firmware = Firmware(build(DESIGN, Target(1e-3, latency, "zoh")))
-    firmware.step(0.3, 0.1)
-    firmware.reset(reference)
-    for _ in range(200):
-        answer = firmware.step(reference, reference)
-        assert answer.command_1 == pytest.approx(reference / CAR.g1.dc_gain, rel=1e-9)
-        assert answer.command_2 == pytest.approx(0.0, abs=1e-6)
-        assert answer.fault_estimate == pytest.approx(0.0, abs=1e-9)
-
-
 def test_reset_of_the_open_loop():
     firmware = Firmware(build(OPEN_LOOP, Target(1e-3)))
     firmware.reset(2.0)

@@ -132,14 +132,6 @@ def test_a_raw_step_keeps_off_the_limit_of_the_torque(torque_nm):
     assert abs(shaped.error[-1]) < 1e-9
 
 
-@pytest.mark.compiled
-def test_a_gentle_reference_gets_the_commands_of_the_loop_without_shaping():
-    plant, t = sample(CAR, TICK_S), TICK_S * np.arange(3000)
-    gentle = 1.0 - np.cos(5.0 * t)
-    with_it, without = (simulate(limited_table(400.0, s), plant, gentle) for s in (0.5, math.inf))
-    np.testing.assert_array_equal(with_it.command_1, without.command_1)
-
-
 def test_an_overflow_leaves_the_shaper_working():
     table = limited_table(400.0, 0.5)
     states = controller.init(table)
