@@ -85,7 +85,7 @@ def test_what_is_not_asked_for_is_not_refused():
 
 @pytest.mark.parametrize(
     ("plant", "change", "error", "named"),
-    [(chapter_2(), {"q": ZeroPoleGain((), (1,), 1.0)}, UnstableFilterError, "Q has a pole at 1"),
+    [(chapter_2(), {"q": ZeroPoleGain((), (1, -2), 1.0)}, UnstableFilterError, "Q has a pole at 1"),
      (chapter_2(), {"q": ZeroPoleGain((-1,), (), 1.0)}, ImproperError, "Q has 1 zeros"),
      (chapter_2(), {"q": ZeroPoleGain.constant(-1.0)}, ZeroChannelError, "q = -1"),
      (_plant([1, 3], [1, 0], [1, 3, 2]), {}, AxisZeroError, "zero at 0"),

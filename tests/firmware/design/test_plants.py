@@ -228,34 +228,6 @@ def test_a_dead_time_is_finite_and_not_below_zero(where, dead_time_s):
         replace(steer_by_wire(), **{where: value})
 
 
-def random_channel(draw: np.random.Generator, order: int, zeros: int) -> ZeroPoleGain:
-    """Stable and minimum phase, roots in 0.1 to 100 rad/s, real ones and pairs."""
-
-    def roots(count: int) -> tuple[complex, ...]:
-        found: list[complex] = []
-        while len(found) < count:
-            root = complex(-(10 ** draw.uniform(-1, 2)))
-            if count - len(found) > 1 and draw.random() < 0.5:
-                root += 1j * 10 ** draw.uniform(-1, 2)
-                found.append(root.conjugate())
-            found.append(root)
-        return tuple(found)
-
-    return ZeroPoleGain(roots(zeros), roots(order), 10 ** draw.uniform(-2, 2))
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_the_state_space_of_any_two_channels_has_their_response(seed):
-    draw = np.random.default_rng(seed)
-    orders = draw.integers(1, 9, 2)
-    g1, g2 = (random_channel(draw, int(n), int(draw.integers(0, n))) for n in orders)
-    plant = Plant.from_transfer_functions("any", g1, g2)
-    assert len(plant.a) == orders.sum()
-    for omega in np.geomspace(0.03, 300.0, 7):
-        own = plant.c @ np.linalg.solve(1j * omega * np.eye(len(plant.a)) - plant.a, plant.b)
-        np.testing.assert_allclose(own[0], [g1(1j * omega), g2(1j * omega)], rtol=1e-6)
-
-
 def test_a_channel_that_feeds_through_has_no_such_state_space():
     lag = ZeroPoleGain((), (-1,), 1.0)
     with pytest.raises(ParameterError, match="G2 has 1 zeros and 1 poles: must have fewer zeros"):
