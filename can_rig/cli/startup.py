@@ -170,4 +170,4 @@ def announce_compilation() -> None:
 def _tell() -> None:
     from can_rig.cli.output import note  # noqa: PLC0415 (hardly ever)
 
-    note("compiling the control law, once for this version on this machine: most of a minute")
+    note("compiling the control law, once for this version and precision: most of a minute")
