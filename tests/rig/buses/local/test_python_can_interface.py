@@ -5,6 +5,7 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from typing import Any
 
@@ -25,6 +26,34 @@ def test_fd_frames_need_an_fd_bus():
         modern.send(frame(1, is_fd=True))
         modern.send(frame(2))
         assert number(listener.recv(TIMEOUT_S)) == 2
+
+
+def test_a_classic_frame_is_found_behind_thousands_of_fd_frames():
+    with buses({"fd": True}, {}) as (modern, classic):
+        for _ in range(3000):
+            modern.send(frame(1, is_fd=True))
+        modern.send(frame(2))
+        assert number(classic.recv(TIMEOUT_S)) == 2
+
+
+def test_receiving_ends_in_time_among_fd_frames_that_never_end():
+    ended = threading.Event()
+
+    def send_on(bus):
+        for _ in range(800):
+            bus.send(frame(1, is_fd=True))
+            if ended.wait(0.01):
+                return
+
+    with buses({"fd": True}, {}) as (modern, classic):
+        sending = threading.Thread(target=send_on, args=(modern,))
+        sending.start()
+        try:
+            assert classic.recv(0.1) is None
+            assert sending.is_alive()
+        finally:
+            ended.set()
+            sending.join()
 
 
 @pytest.mark.parametrize(
