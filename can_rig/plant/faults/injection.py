@@ -59,7 +59,7 @@ def require_possible(command: Command) -> None:
     """
     value, (step, most) = command.value, value_limits()
     if value is not None and not abs(value) <= most:
-        raise RigError(f"value {value:g}: must be {-most:g} to {most:g}")
+        raise RigError(f"value {value:g}: must be {-most:.7g} to {most:.7g}")
     if value and abs(value) < step:
         raise RigError(f"value {value:g}: must be 0 or at least {step:g}, the step of the frame")
     for_s = command.duration_s

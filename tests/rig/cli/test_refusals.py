@@ -124,7 +124,7 @@ def test_a_fault_after_the_end_is_mentioned_in_one_line():
         (("inject", "yaw-rate", "lying"), "error: yaw-rate lying: must be one of biased, dead, "),
         (("inject", "yaw-rate", "biased"), "error: sensor-biased: its value is offset; "),
         (("inject", "pause", "3"), "error: pause 3: nothing must follow"),
-        (("inject", "reference", "nan"), "error: value nan: must be -8388.61 to 8388.61"),
+        (("inject", "reference", "nan"), "error: value nan: must be -8388.607 to 8388.607"),
         (("inject", "pace", "-1"), "error: pace -1: must be above 0, or 0 for as fast"),
         (("inject", "reference", "-0.3", "--bus", "local:x"), "error: bus local:x: silent; no "),
     ],
