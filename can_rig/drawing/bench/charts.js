@@ -371,7 +371,7 @@ class Charts {
 
   showCursor() {
     this.moving = true;
-    for (const { plot } of this.plots) plot.setCursor({ left: plot.valToPos(this.at, "x"), top: 5 });
+    for (const { plot } of this.plots) plot.setCursor({ left: plot.valToPos(this.at, "x"), top: -10 });
     this.moving = false;
     this.showValues();
   }

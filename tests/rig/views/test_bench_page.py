@@ -115,6 +115,8 @@ def test_in_a_browser_charts_are_added_and_zoom_together_and_an_event_is_found(p
     page.focus(".chart >> nth=0")
     page.keyboard.press("ArrowRight")
     expect(page.locator("#bar output")).to_contain_text("after the mark")
+    expect(page.locator(".u-cursor-x >> nth=0")).to_be_visible()
+    expect(page.locator(".u-cursor-y >> nth=0")).to_be_hidden()  # a time has no height
     assert barriers(page) == []
     page.select_option("#play select", "10")
     page.click("#play button")
