@@ -114,7 +114,8 @@ class Session:
         In lockstep both are; the node with the last frame waits for the other.
         """
         silent, here = self.live.lamps.silent, f"{self.live.lamps.time_s:.2f} s"
-        if len(silent) == 1 or self.live.last_heard == "plant":
+        finishing = self.running and self._stopped
+        if not finishing and (len(silent) == 1 or self.live.last_heard == "plant"):
             node = silent[0] if len(silent) == 1 else "controller"
             says = (
                 f"The {node} node is silent since {here} of the run: "
@@ -122,7 +123,7 @@ class Session:
             )
             return State("silent", says, self._stop)
         early = self.live.lamps.time_s < self.scenario.duration_s - NEAR_S
-        if self.running and early and not self._stopped:
+        if self.running and early and not finishing:
             says = f"Both nodes are silent since {here}: a node was killed, or has ended."
             return State("silent", says, self._stop)
         if self.running:

@@ -153,6 +153,24 @@ def test_a_run_of_the_panel_that_falls_silent_early_was_not_ended_as_planned(
     rig.session._process = None
 
 
+def test_a_run_that_the_panel_stops_is_finishing_whichever_node_was_heard_last(bus, monkeypatch):
+    process = SimpleNamespace(returncode=None, send_signal=lambda _signal: None)
+
+    async def wait():
+        return None
+
+    async def started(*_words, **_options):
+        return process
+
+    process.wait = wait
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", started)
+    rig = bus()
+    asyncio.run(rig.session.start())
+    rig.send(*rig.frames, *(f for f in rig.frames[:2] if f.arbitration_id < 0x110))
+    asyncio.run(rig.session.stop())
+    assert "is being written" in rig.state("finishing").says
+
+
 @pytest.mark.parametrize(
     ("status", "out", "err", "state", "says", "saves"),
     [
