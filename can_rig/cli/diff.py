@@ -90,6 +90,7 @@ def print_difference(difference: Difference, labels: tuple[str, str], a: SignalT
     signals = table(*headings, *labels)
     for column in signals.columns:
         column.overflow = "fold"
+    signals.columns[0].no_wrap = True  # a name in two lines is found by no search
     for signal in difference.signals:
         _, unit = a.name_and_unit(signal.signal)
         row = [signal.signal, f"{signal.largest:.4g} {unit}".rstrip()]

@@ -127,6 +127,8 @@ def read_run(folder: Path) -> tuple[Scenario, Network, Signals]:
         LogError: not a run folder, or a log that cannot be read.
         ScenarioError: no readable scenario.
     """
+    if folder.is_file():
+        raise LogError(f"{folder}: is a file; must be a run folder")
     source = source_of(folder, None, ())
     network = network_of(source.scenario)
     scenario = done(source.scenario, touches(source.frames(), network)).scenario

@@ -81,6 +81,11 @@ def test_a_later_fault_parts_them_at_the_fault(runs):
     assert within.returncode == 0, within.stdout
 
 
+def test_the_name_of_a_signal_stands_in_one_line(runs):
+    done = asked("diff", runs / "a", runs / "later")
+    assert "\napplied_force_difference_n " in done.stdout
+
+
 @given(
     arrays(np.float64, 40, elements=st.sampled_from([0.0, 1.0, 1.5, -2.0, math.nan])),
     arrays(np.float64, 40, elements=st.sampled_from([0.0, 1.0, 1.5, -2.0, math.nan])),

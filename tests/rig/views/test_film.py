@@ -6,6 +6,7 @@ from PIL import Image, ImageSequence
 
 from can_rig.errors import LogError
 from can_rig.results.motion import scene
+from can_rig.results.source import read_run
 from can_rig.views.film import (
     HEIGHT,
     WIDTH,
@@ -135,3 +136,10 @@ def test_the_command_writes_a_film_of_a_run_folder(tmp_path):
     short = asked("film", "one", "--out", "y.gif")
     assert short.stderr.startswith("error: one: too short: a film needs a run of two ticks")
     assert "exists; choose" in refused("film", "run", "--out", "x.gif")
+
+
+def test_a_log_is_no_run_folder(tmp_path):
+    log = tmp_path / "bus.log"
+    log.write_text("")
+    with pytest.raises(LogError, match=r"bus\.log: is a file; must be a run folder$"):
+        read_run(log)
