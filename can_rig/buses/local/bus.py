@@ -512,37 +512,41 @@ class LocalBus(BusABC):
         return super().recv(timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
-        end_s: float | None = None
-        while True:
-            try:
-                if self._unread:
-                    datagram = self._unread.popleft()
-                elif timeout is None or timeout >= _COARSE_S:
-                    if timeout != self._timeout:
-                        self._set_receive_timeout(timeout)
-                    datagram = self._socket.recv(MAX_BYTES)
-                else:
-                    if timeout > 0:
-                        select.select((self._socket,), (), (), timeout)
-                    datagram = self._socket.recv(MAX_BYTES, _DONTWAIT)
-            except BlockingIOError:
-                return None, False
-            except (OSError, ValueError) as error:  # ValueError: select() on a closed socket
-                self._check_if_open()
-                raise CanOperationError(f"cannot receive from {self}: {error}") from error
-            if not datagram:  # the signal of shutdown() in another thread to a waiting receiver
-                self._check_if_open()
-            if self.bursts and len(datagram) in _BURSTS:
-                datagram, *others = frames_of(datagram)
-                self._unread.extend(others)
-            received, flags = message(datagram, self.channel)
-            if flags & CUT_OFF:
-                raise CanOperationError(f"cut off from a sender on {self}: too many frames unread")
-            if not flags & FD or self._can_protocol is CanProtocol.CAN_FD:
-                return received, False
-            if timeout is not None:  # the frame counts as never sent
-                end_s = time.monotonic() + timeout if end_s is None else end_s
-                timeout = max(0.0, end_s - time.monotonic())
+        received, flags = self._receive(timeout)
+        if flags & FD and self._can_protocol is not CanProtocol.CAN_FD:  # counts as never sent
+            end_s = None if timeout is None else time.monotonic() + timeout
+            while flags & FD:
+                left_s = None if end_s is None else max(0.0, end_s - time.monotonic())
+                received, flags = self._receive(left_s)
+        return received, False
+
+    def _receive(self, timeout: float | None) -> tuple[Message | None, int]:
+        """The next frame of either protocol, and its flags."""
+        try:
+            if self._unread:
+                datagram = self._unread.popleft()
+            elif timeout is None or timeout >= _COARSE_S:
+                if timeout != self._timeout:
+                    self._set_receive_timeout(timeout)
+                datagram = self._socket.recv(MAX_BYTES)
+            else:
+                if timeout > 0:
+                    select.select((self._socket,), (), (), timeout)
+                datagram = self._socket.recv(MAX_BYTES, _DONTWAIT)
+        except BlockingIOError:
+            return None, 0
+        except (OSError, ValueError) as error:  # ValueError: select() on a closed socket
+            self._check_if_open()
+            raise CanOperationError(f"cannot receive from {self}: {error}") from error
+        if not datagram:  # the signal of shutdown() in another thread to a waiting receiver
+            self._check_if_open()
+        if self.bursts and len(datagram) in _BURSTS:
+            datagram, *others = frames_of(datagram)
+            self._unread.extend(others)
+        received, flags = message(datagram, self.channel)
+        if flags & CUT_OFF:
+            raise CanOperationError(f"cut off from a sender on {self}: too many frames unread")
+        return received, flags
 
     def fileno(self) -> int:
         """The descriptor, readable while frames wait; -1 once closed."""
