@@ -62,12 +62,13 @@ int fmu_step(struct instance *self, double point_s, double step_s)
     model_tick(self, true);
 //: else
     const double ticks = rint(step_s / tick_s);
+    const bool whole = ticks >= 1.0 && ticks <= INT32_MAX;
 
-    if (!(ticks >= 1.0 && fabs(step_s / tick_s - ticks) <= 1e-6 * ticks)) {
-        return fmu_refuse(self, "a communication step must be a multiple of the tick, {tick_s} s");
+    if (!(whole && fabs(step_s / tick_s - ticks) <= 1e-6 * ticks)) {
+        return fmu_refuse(self, "a communication step must be 1 to 2147483647 ticks of {tick_s} s");
     }
-    for (double done = 0.0; done < ticks; done += 1.0) {
-        model_tick(self, done == 0.0);
+    for (int32_t done = 0; done < (int32_t) ticks; done++) {
+        model_tick(self, done == 0);
     }
     self->reals[TIME] = point_s + step_s;
 //: end

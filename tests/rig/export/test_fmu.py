@@ -1,5 +1,6 @@
 """The exported FMUs: in FMPy, in the rig bit for bit, and built again from their own sources."""
 
+import math
 import runpy
 import struct
 import zipfile
@@ -359,8 +360,9 @@ def test_a_step_of_several_ticks_holds_the_inputs(exported, tmp_path):
             said = firmware.step(reference, measured)
         many.doStep(0.003 * at, 0.003)
         assert one.getFloat64(COMMANDS) == many.getFloat64(COMMANDS) == [*said[:2]]
-    with pytest.raises(FMICallException):
-        one.doStep(1.0, 0.0004)
+    for step_s in (0.0004, -0.001, 0.0, 1e16, math.inf, math.nan):
+        with pytest.raises(FMICallException):
+            one.doStep(1.0, step_s)
     one.reset()
     assert one.getFloat64(COMMANDS) == [0.0, 0.0]
     for fmu in (one, many):
