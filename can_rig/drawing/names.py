@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from can_rig.logs.columns import APPLIED, EVIDENCE, EVIDENCE_OF, TAKEN, TRUE_OUTPUT
 from can_rig.scenario.disturbance_settings import PUSH, DisturbanceSettings
-from can_rig.scenario.fault_settings import CONTROLLER, PLACES, RESTARTED, FaultSettings
+from can_rig.scenario.fault_settings import CONTROLLER, PLACES, RESTARTED, FaultSettings, key_of
 from can_rig.scenario.plant_settings import PlantSettings, SignalSettings
 from can_rig.scenario.sensor_settings import ECHOES, MEASURED, USUAL
 
@@ -134,6 +134,20 @@ HOW: Final = {
 """Exceptions to the last part of the kind."""
 
 
+NUMBERS: Final = {
+    "left": ("share left, 0 to 1", "", ""),
+    "value": ("value", "{unit}", "at"),
+    "offset": ("offset", "{unit}", "by"),
+    "drift_per_s": ("drift", "{unit}/s", "by"),
+    "amplitude": ("amplitude", "{unit}", "by"),
+    "rate_per_s": ("rate", "{unit}/s", "to"),
+    "late_ticks": ("delay", "ticks", "by"),
+    "bias_mps2": ("bias", "{unit}", "by"),
+    "gain": ("gain", "", "by"),
+}
+"""By the key of a fault's number: its name, its unit, and the word before it in a sentence."""
+
+
 def fault_label(fault: FaultSettings, names: Names) -> str:
     """Short description of ``fault``."""
     share = f"{100.0 * (1.0 - fault.left):g} % of " if fault.left and "dead" in fault.kind else ""
@@ -187,24 +201,18 @@ def _when(what: FaultSettings | DisturbanceSettings, every: str, end_s: float) -
 
 def _size(fault: FaultSettings, names: Names) -> str:
     """By how much, where a key of the fault says so."""
-    unit = names.hit_by(fault).unit
-    a_second = f"{unit}/s".lstrip()
-    sizes = {
-        "biased": ("by", fault.bias, unit),
-        "offset": ("by", fault.offset, unit),
-        "drift": ("by", fault.drift_per_s, a_second),
-        "oscillating": ("by", fault.amplitude, unit),
-        "limited": ("to", fault.rate_per_s, a_second),
-        "stuck": ("at", fault.value, unit),
-        "scaled": ("by", fault.gain, ""),
-        "forged": ("as", fault.value, unit),
-    }
     if fault.other is not None:
         return f"with {fault.other.replace('-', ' ')}"
     if fault.kind.endswith("-late"):
         return f"by {ticks_text(fault.late_ticks)}"
-    word, value, its_unit = sizes.get(fault.kind.rpartition("-")[2], ("", None, ""))
-    return "" if value is None else f"{word} {with_unit(f'{value:g}', its_unit)}"
+    key = key_of(fault.kind, fault.place)
+    value = getattr(fault, key) if key else None
+    if value is None or key == "left":  # the label says the share
+        return ""
+    _, unit, word = NUMBERS[key]
+    if fault.kind == "frames-forged":
+        word = "as"
+    return f"{word} {with_unit(f'{value:g}', unit.format(unit=names.hit_by(fault).unit))}"
 
 
 OF_CAR: Final = {

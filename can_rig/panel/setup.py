@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from can_rig.drawing.names import HOW, Names, in_words, names_of, with_unit
+from can_rig.drawing.names import HOW, NUMBERS, Names, in_words, names_of, with_unit
 from can_rig.frames import operator_frames
 from can_rig.frames.network import Network
 from can_rig.plant.faults.injection import Injection, kinds_of, sizes_of
@@ -20,19 +20,6 @@ from firmware_model.law.status import Verdict
 
 MOVED_BY: Final = 2.0
 """Largest shift of the reference, in amplitudes of the scenario's reference."""
-
-NUMBERS: Final = {
-    "left": ("share left, 0 to 1", ""),
-    "value": ("value", "{unit}"),
-    "offset": ("offset", "{unit}"),
-    "drift_per_s": ("drift", "{unit}/s"),
-    "amplitude": ("amplitude", "{unit}"),
-    "rate_per_s": ("rate", "{unit}/s"),
-    "late_ticks": ("delay", "ticks"),
-    "bias_mps2": ("bias", "{unit}"),
-    "gain": ("gain", ""),
-}
-"""Words and unit of each number of a fault."""
 
 
 def setup(scenario: Scenario, network: Network, confirm: float | None) -> dict[str, Any]:
@@ -105,8 +92,10 @@ def _kinds(place: str, unit: str, sensors: Sequence[str]) -> Iterator[dict[str, 
                     number = operator_frames.places().index(other)
                     yield {"kind": kind, "words": pair, "value": None, "number": number}
             continue
-        words, its_unit = NUMBERS.get(key_of(kind, place), (None, ""))
-        value = None if words is None else with_unit(words, its_unit.format(unit=unit))
+        value = None
+        if key := key_of(kind, place):
+            name, its_unit, _ = NUMBERS[key]
+            value = with_unit(name, its_unit.format(unit=unit))
         yield {"kind": kind, "words": how, "value": value}
 
 

@@ -27,6 +27,9 @@ WORDS = {
     "D* forged as 3 m/s² at 2 s, every 4 ticks (frames forged)": FaultSettings(
         "frames-forged", "sensor", value=3.0, every=4
     ),
+    "yaw rate scaled by -1 at 2 s (sensor scaled)": FaultSettings(
+        "sensor-scaled", "yaw-rate", gain=-1.0
+    ),
     "steering torque late by 10 ticks at 2 s (frames late)": FaultSettings("frames-late"),
 }
 
