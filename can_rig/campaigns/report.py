@@ -42,8 +42,8 @@ MOST_AXES: Final = 6
 MOST_DOTS: Final = 4000
 MOST_TEXT: Final = 110
 """Characters of a requirement in its bar."""
-PANEL_IN, RATE_IN = 1.9, 0.28
-"""Heights of a row of panels, and of a requirement."""
+PANEL_IN, RATE_IN, WORD_IN = 1.9, 0.28, 0.14
+"""Heights of a row of panels, of a requirement, and of a word beside a panel."""
 FAR: Final = 10.0
 """The greatest value, in medians, from which on an axis is logarithmic."""
 LINE: Final = 26
@@ -63,7 +63,9 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
     rated = any(rate.share is not None for rate in summary.rates)
     if rated:
         heights.append(RATE_IN * len(summary.rates) + 0.7)
-    heights += [PANEL_IN] * (1 + len(axes)) if metrics else []
+    words = {key: words_of(drawn[key]) for key in axes}
+    if metrics:
+        heights += [PANEL_IN, *(PANEL_IN + WORD_IN * len(_beside(words[key])) for key in axes)]
     figure = style.page(0.8 + sum(heights))
     figure.suptitle(
         f"{style.plain(plan.settings.name)}: {summary.runs:,} runs of "
@@ -91,9 +93,11 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
         loc="outside upper right", ncols=2, frameon=False, fontsize=8,
     )  # fmt: skip
     for key in axes:
-        panels = np.atleast_1d(next(parts).subplots(1, len(metrics)))
+        beside = bool(_beside(words[key]))
+        panels = np.atleast_1d(next(parts).subplots(1, len(metrics), sharey=beside))
         for axis, name in zip(panels, metrics, strict=True):
-            _dots(axis, key, drawn[key], label_of(name, names), numbers(drawn[name]), failed)
+            values, label = numbers(drawn[name]), label_of(name, names)
+            _dots(axis, label_of_key(key), words[key], drawn[key], label, values, failed)
             its = plan.settings.axes.get(key)
             if its is not None and its.scale == "log" and not its.either_sign:
                 axis.set_xscale("log")
@@ -180,25 +184,39 @@ def is_far_reaching(values: Any) -> bool:
     return bool(known.min() > 0.0 and known.max() > FAR * np.median(known))
 
 
-def _dots(
-    axis: Axes, key: str, places: Sequence[Any], label: str, values: Any, failed: Any
-) -> None:
-    """A dot a run; values of an axis that are no numbers stand side by side."""
-    texts = [str(value) for value in places]
+def words_of(places: Sequence[Any]) -> list[str]:
+    """The values of an axis that are no numbers, each once; empty for numbers."""
     if all(isinstance(value, int | float) and not isinstance(value, bool) for value in places):
-        at = numbers(places)
-    else:
-        distinct = sorted(set(texts))
-        at = np.array([float(distinct.index(text)) for text in texts])
-        axis.set_xticks(range(len(distinct)), map(style.plain, distinct), fontsize=7)
-    some = slice(None, None, max(1, len(at) // MOST_DOTS))
+        return []
+    return sorted({str(value) for value in places})
+
+
+def _beside(words: Sequence[str]) -> Sequence[str]:
+    """The words that stand beside the panel, one below the other: too many to stand below it."""
+    return words if len(" ".join(words)) > LINE else []
+
+
+def _dots(
+    axis: Axes, key: str, words: Sequence[str], places: Sequence[Any], label: str, values: Any,
+    failed: Any,
+) -> None:  # fmt: skip
+    """A dot a run; values of an axis that are no numbers stand side by side, or in lines."""
+    number = {word: float(at) for at, word in enumerate(words)}
+    at = np.array([number[str(value)] for value in places]) if words else numbers(places)
+    beside, some = bool(_beside(words)), slice(None, None, max(1, len(at) // MOST_DOTS))
     for mask, colour in ((~failed, style.BLUE), (failed, style.ORANGE)):
-        x, y = at[some][mask[some]], values[some][mask[some]]
-        axis.plot(x, y, ".", color=colour, ms=2.5, alpha=0.5)
+        pair = at[some][mask[some]], values[some][mask[some]]
+        axis.plot(*pair[:: -1 if beside else 1], ".", color=colour, ms=2.5, alpha=0.5)
+    along, across = (axis.yaxis, axis.xaxis) if beside else (axis.xaxis, axis.yaxis)
+    along.set_label_text(key, fontsize=7)
+    across.set_label_text(label, fontsize=7)
+    if words:
+        along.set_ticks(range(len(words)), [*map(style.plain, words)])
+    if beside:
+        axis.set_ylim(len(words) - 0.5, -0.5)
+        axis.label_outer()
     if is_far_reaching(values):
-        axis.set_yscale("log")
-    axis.set_xlabel(label_of_key(key), fontsize=7)
-    axis.set_ylabel(label, fontsize=7)
+        (axis.set_xscale if beside else axis.set_yscale)("log")
     axis.tick_params(labelsize=7, which="both")
     axis.grid(alpha=0.3, lw=0.5)
 
