@@ -143,14 +143,21 @@ class Charts {
     const at = this.at === null ? last : this.index(this.at), pin = this.pin === null ? null : this.index(this.pin);
     for (const { chart, values } of this.plots) {
       chart.keys.forEach((key, i) => {
-        const v = (this.data[key] || [])[at], p = pin === null ? null : (this.data[key] || [])[pin];
+        const v = this.value(key, at), p = pin === null ? null : this.value(key, pin);
         values[i].textContent = this.said(key, v) + (pin === null || v === null || p === null ? "" : ` (Δ ${shown(v - p)})`);
       });
     }
-    for (const [key, value] of this.listed) value.textContent = this.said(key, (this.data[key] || [])[at]);
+    for (const [key, value] of this.listed) value.textContent = this.said(key, this.value(key, at));
     const t = (s) => `${s.toFixed(3)} s`;
     const here = last < 0 ? "" : this.at === null ? `last values, at ${t(time[last])}` : `values at ${t(time[at])}`;
     this.time.textContent = here + (pin === null || last < 0 ? "" : `, ${t(time[at] - time[pin])} after the mark`);
+  }
+
+  // The value of that row; of signals with times of their own, the last one until then.
+  value(key, row) {
+    const values = this.data[key] || [];
+    while (this.spanGaps && row > 0 && values[row] === null) row -= 1;
+    return values[row];
   }
 
   said(key, v) { const { words } = this.curves[key]; return words && words[v] !== undefined ? words[v] : shown(v); }

@@ -127,6 +127,17 @@ def test_in_a_browser_charts_are_added_and_zoom_together_and_an_event_is_found(p
     assert barriers(page) == []
 
 
+def test_in_a_browser_every_signal_of_a_log_has_its_last_value(page, folder):
+    """No two frames of a log come at the same time."""
+    asked("view", folder / "run/bus.log", "--out", folder / "last.html", "--force")
+    page.goto((folder / "last.html").as_uri())
+    page.wait_for_selector("body[data-drawn]")
+    page.focus("#play input")
+    page.keyboard.press("End")
+    expect(page.locator("#bar output")).to_contain_text("values at 1.499 s")
+    assert "–" not in page.inner_text("#list")
+
+
 def test_a_drag_over_a_chart_shows_the_time_under_the_drag_in_every_chart(page, folder):
     asked("view", folder / "run", "--out", folder / "page.html", "--force")
     page.goto((folder / "page.html").as_uri())
