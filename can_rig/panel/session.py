@@ -114,8 +114,10 @@ class Session:
         In lockstep both are; the node with the last frame waits for the other.
         """
         silent, here = self.live.lamps.silent, f"{self.live.lamps.time_s:.2f} s"
-        finishing = self.running and self._stopped
-        if not finishing and (len(silent) == 1 or self.live.last_heard == "plant"):
+        finishing = State("finishing", f"The run stands at {here}; its folder is being written.")
+        if self.running and self._stopped:
+            return finishing
+        if len(silent) == 1 or self.live.last_heard == "plant":
             node = silent[0] if len(silent) == 1 else "controller"
             says = (
                 f"The {node} node is silent since {here} of the run: "
@@ -123,11 +125,11 @@ class Session:
             )
             return State("silent", says, self._stop)
         early = self.live.lamps.time_s < self.scenario.duration_s - NEAR_S
-        if self.running and early and not finishing:
+        if self.running and early:
             says = f"Both nodes are silent since {here}: a node was killed, or has ended."
             return State("silent", says, self._stop)
         if self.running:
-            return State("finishing", f"The run stands at {here}; its folder is being written.")
+            return finishing
         return State("ended", f"Both nodes are silent since {here}: the run has ended.")
 
     def _state_heard(self) -> State:

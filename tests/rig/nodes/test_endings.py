@@ -134,7 +134,7 @@ class Controller:
 
 
 def controller_in(folder: Path, made: str = "pass", asked: str = "pass") -> str:
-    """The kind of a controller that does this when it is made, and when it is asked."""
+    """The kind of a controller with these statements in ``__init__`` and in ``step``."""
     (folder / "ending.py").write_text(CONTROLLER.format(made=made, asked=asked))
     return f"{folder / 'ending'}:Controller"
 

@@ -5,7 +5,7 @@ import json
 import re
 import time
 from dataclasses import replace
-from types import SimpleNamespace
+from unittest.mock import AsyncMock, Mock
 
 import can
 import pytest
@@ -68,6 +68,14 @@ def bus(tmp_path):
     for each in made:
         each.session.close()
         each.nodes.shutdown()
+
+
+def start(rig: Bus, monkeypatch: pytest.MonkeyPatch) -> Mock:
+    """Let the panel start a run; returns the process of the run, which does nothing."""
+    process = Mock(returncode=None, wait=AsyncMock())
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", AsyncMock(return_value=process))
+    asyncio.run(rig.session.start())
+    return process
 
 
 def test_before_the_first_frame_a_panel_says_what_to_do(bus):
@@ -143,29 +151,20 @@ def test_a_bus_that_fails_is_down_until_the_next_frame(bus):
     [(20.0, False, "silent"), (20.0, True, "finishing"), (0.05, False, "finishing")],
 )
 def test_a_run_of_the_panel_that_falls_silent_early_was_not_ended_as_planned(
-    bus, duration_s, stopped, state
+    bus, monkeypatch, duration_s, stopped, state
 ):
     rig = bus()
     rig.session.scenario = replace(rig.session.scenario, duration_s=duration_s)
-    rig.session._process, rig.session._stopped = SimpleNamespace(returncode=None), stopped
+    start(rig, monkeypatch)
     rig.send(*rig.frames)
+    if stopped:
+        asyncio.run(rig.session.stop())
     assert ("killed" in rig.state(state).says) == (state == "silent")
-    rig.session._process = None
 
 
 def test_a_run_that_the_panel_stops_is_finishing_whichever_node_was_heard_last(bus, monkeypatch):
-    process = SimpleNamespace(returncode=None, send_signal=lambda _signal: None)
-
-    async def wait():
-        return None
-
-    async def started(*_words, **_options):
-        return process
-
-    process.wait = wait
-    monkeypatch.setattr(asyncio, "create_subprocess_exec", started)
     rig = bus()
-    asyncio.run(rig.session.start())
+    start(rig, monkeypatch)
     rig.send(*rig.frames, *(f for f in rig.frames[:2] if f.arbitration_id < 0x110))
     asyncio.run(rig.session.stop())
     assert "is being written" in rig.state("finishing").says
@@ -184,19 +183,14 @@ def test_a_run_that_the_panel_stops_is_finishing_whichever_node_was_heard_last(b
 def test_the_end_of_a_run_of_the_panel_has_a_reason(
     bus, monkeypatch, status, out, err, state, says, saves
 ):
-    process = SimpleNamespace(returncode=None)
+    rig = bus()
+    process = start(rig, monkeypatch)
 
     async def communicate():
         process.returncode = status
         return out.encode(), err.encode()
 
-    async def started(*_words, **_options):
-        return process
-
     process.communicate = communicate
-    monkeypatch.setattr(asyncio, "create_subprocess_exec", started)
-    rig = bus()
-    asyncio.run(rig.session.start())
     assert rig.state("starting").orders == ("stop",)
     asyncio.run(rig.session.ended())
     after = rig.state(state)
