@@ -93,8 +93,7 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
         loc="outside upper right", ncols=2, frameon=False, fontsize=8,
     )  # fmt: skip
     for key in axes:
-        beside = bool(_beside(words[key]))
-        panels = np.atleast_1d(next(parts).subplots(1, len(metrics), sharey=beside))
+        panels = np.atleast_1d(next(parts).subplots(1, len(metrics)))
         for axis, name in zip(panels, metrics, strict=True):
             values, label = numbers(drawn[name]), label_of(name, names)
             _dots(axis, label_of_key(key), words[key], drawn[key], label, values, failed)
