@@ -217,7 +217,10 @@ def rows(values: Metrics, plant: PlantSettings) -> list[tuple[str, str]]:
             number = f"{value:.4g} {units.get(unit, unit)}".rstrip()
             out.append((text.format(**names), number))
         elif key == "detection_delay_s" and values.get("missed_detection") is not None:
-            out.append((text, "missed" if values["missed_detection"] else "confirmed before it"))
+            found = "compensated without a confirmation"  # as an echo tells
+            if values.get("false_alarms") != 0:
+                found = "confirmed before it"
+            out.append((text, "missed" if values["missed_detection"] else found))
     return out
 
 

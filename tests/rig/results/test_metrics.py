@@ -180,6 +180,8 @@ def test_rows_say_only_what_the_run_has():
     assert "deviation" in closed and "loss confirmed after: missed" in closed
     before: Metrics = {"deviation_peak_after_fault_mps2": 0.1, "missed_detection": False}
     assert "loss confirmed after: confirmed before it" in labels(scenario, before)
+    told = labels(scenario, before | {"false_alarms": 0})
+    assert "loss confirmed after: compensated without a confirmation" in told
     healthy = scenario.healthy
     without = labels(healthy, metrics(healthy, quiet(healthy)))
     assert "|error|, settled: 0 m/s²" in without
