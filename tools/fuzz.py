@@ -128,7 +128,7 @@ def sound(frames: Frames) -> None:
         assert frames.arbitration_id.max() < 1 << 29, "an identifier above 29 bits"
         assert frames.channel.max() < len(frames.channels), "a bus without a name"
         behind = np.arange(frames.data.shape[1]) >= frames.length[:, None]
-        assert not (frames.data * behind).any(), "bytes behind the end of a payload"
+        assert not (frames.data * behind).any(), "bytes beyond the end of a payload"
 
 
 def attempt(path: Path, text: bytes) -> str | None:

@@ -278,8 +278,8 @@ def network_timing(
     measured = response_times(plant, bitrate)
     release = (_latest(measured) or 0) + compute
     answered = [replace(f, release_s=release) for f in response_times(answers, bitrate)]
-    behind = max(*(frame.priority for frame in inputs), min(frame.priority for frame in answers))
-    overtaken = {frame.name for frame in plant if frame.priority > behind}
+    lowest = max(*(frame.priority for frame in inputs), min(frame.priority for frame in answers))
+    overtaken = {frame.name for frame in plant if frame.priority > lowest}
     frames = _outranked([*measured, *answered], overtaken)
     last = _latest(frames)
     if last is None or last > tick:
@@ -360,7 +360,7 @@ def _of_dbc(message: DbcMessage, cycle_time_ms: int, switches: bool) -> Periodic
 
 
 def _outranked(frames: Sequence[FrameTiming], overtaken: Container[str]) -> list[FrameTiming]:
-    """The two groups, where the answers overtake further sensors that wait behind the inputs.
+    """The two groups, where the answers overtake further sensors that wait for the inputs.
 
     Such a frame is queued at the start of the tick and the bus is never idle before it is sent, so
     every other frame of the tick at most comes first.

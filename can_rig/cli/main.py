@@ -36,7 +36,7 @@ COMMANDS: Final = {
     "diff": ("diff", "Compare two runs, signal by signal."),
     "compare": ("compare", "Compare several controllers in the same cases."),
 }
-"""Name → module, where ``command`` or the name behind the colon is the command, and the line of
+"""Name → module, where ``command`` or the name after the colon is the command, and the line of
 ``--help``."""
 
 

@@ -532,7 +532,7 @@ def _pace_lines(result: Paced, speed: Fraction | None) -> Iterator[str]:
     if result.fd_frames:
         yield (
             f"{result.fd_frames} CAN FD frames not sent, the bus is a classic one; "
-            "?fd=true behind its name opens one that is not"
+            "?fd=true after its name opens one that is not"
         )
     if result.error_frames:
         yield f"{result.error_frames} error frames not sent: only a bus itself makes them"

@@ -391,7 +391,9 @@ class MessageDecoder:
         self.counts.longer += int((frames.length > self.message.length).sum())
         signals, codes = {}, {}
         for name in self._wanted:
-            there = present.get(name, np.zeros(len(frames), bool))  # behind no multiplexer's value
+            there = present.get(
+                name, np.zeros(len(frames), bool)
+            )  # absent for every multiplexer's value
             raw, signals[name] = self._column(name, data, there)
             if self._layout[name].choices:
                 codes[name] = raw

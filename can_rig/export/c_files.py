@@ -120,7 +120,7 @@ def comment(text: str, indent: str = "") -> list[str]:
 
 
 def with_comment(line: str, text: str, indent: str) -> list[str]:
-    """``line`` with a comment behind, or before if space is short."""
+    """``line`` and a comment after the line, or before the line if space is short."""
     one = f"{line} /* {plain(text)} */"
     if "\n" not in line and len(one) <= WIDTH:
         return [one]

@@ -70,7 +70,7 @@ class KnownAnswers:
 
 
 class _Plant:
-    """The plant that the estimator believes in, behind the bus of the scenario.
+    """The plant that the estimator believes in, at the bus of the scenario.
 
     An unstable plant is N1 and N2 over M; the M of a stable plant has no section.
 

@@ -47,7 +47,7 @@ class Frames:
     length: NDArray[Any]
     """(n,) payload lengths [byte], uint8; for a remote frame, the requested length."""
     data: UInt8s
-    """(n, 8) or, where a frame is longer, (n, 64) payloads; zero behind their ends."""
+    """(n, 8) or, where a frame is longer, (n, 64) payloads; zero beyond their ends."""
     channels: tuple[str, ...]
     """Names of the buses."""
 
@@ -185,7 +185,9 @@ def window_of(from_s: float | None, to_s: float | None) -> Window:
         for value, default in ((from_s, ALL.begin_ns), (to_s, ALL.end_ns))
     )
     if begin_ns is None or end_ns is None or begin_ns >= end_ns:
-        raise LogError(f"--from {from_s} --to {to_s}: must be seconds, the first smaller")
+        given = {"--from": from_s, "--to": to_s}.items()
+        said = " ".join(f"{name} {value}" for name, value in given if value is not None)
+        raise LogError(f"{said}: must be seconds, --from before --to")
     return Window(begin_ns, end_ns)
 
 

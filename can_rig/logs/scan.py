@@ -198,7 +198,7 @@ def number(text: UInt8s, at: int, base: int, most: int) -> tuple[int, int]:
 def payload(text: UInt8s, at: int, base: int, size: int, row: UInt8s) -> int:
     """``size`` bytes, each after blanks, into ``row``; returns the position after them, or -1.
 
-    Bytes behind the end of ``row`` are read only.
+    Bytes beyond the end of ``row`` are read only.
     """
     for byte in range(size):
         at = next_word(text, at)

@@ -241,7 +241,7 @@ def _lines(words: Any, there: Any, first_us: Any, ids: Any, own: int, text: Any)
 
 @compiled
 def write_line(text: Any, at: int, time_us: int, identifier: int, data: int, sent: bool) -> int:
-    """Write the candump line of a classic frame of 8 bytes; returns the place behind the line.
+    """Write the candump line of a classic frame of 8 bytes; returns the place after the line.
 
     Args:
         text: for the line, characters.

@@ -18,7 +18,7 @@ from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import OnTick, StopRequest
 from can_rig.nodes.recording import LogFile, PlantRecorder, candump_bytes
 from can_rig.nodes.ticks import NodeSummary, RunColumns, timed
-from can_rig.plant.behind import LinearBehind, PlantBehind
+from can_rig.plant.actuated_plant import ActuatedLinearPlant, ActuatedPlant
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.frame_faults import delivery
 from can_rig.plant.frameless import carried
@@ -67,7 +67,7 @@ class RunWithoutBus:
         self._files.callback(self._log.close)
         self._reports = self._files.enter_context(PlantRecorder(log))
         plant, sensors = plant_of(scenario), self._network.witnesses
-        self._linear = plant if isinstance(plant, LinearBehind) and not sensors else None
+        self._linear = plant if isinstance(plant, ActuatedLinearPlant) and not sensors else None
         reporting = _Reporting(plant, self._reports)
         self._sensed = Sensed(scenario, self._network, reporting) if sensors else None
         self._frames: dict[str, FloatArray] = {}
@@ -213,17 +213,17 @@ def _powered(outages: Iterable[Outage], ticks: range) -> tuple[BoolArray, NDArra
 class _Reporting:
     """A plant of one's own whose reports are recorded as it goes on."""
 
-    def __init__(self, plant: PlantBehind, reports: PlantRecorder) -> None:
+    def __init__(self, plant: ActuatedPlant, reports: PlantRecorder) -> None:
         self._plant = plant
         self._reports = reports
         self._tick = 0
         self.witnesses = plant.witnesses
-        """See ``PlantBehind``."""
+        """See ``ActuatedPlant``."""
 
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> tuple[float, float]:
-        """See ``PlantBehind``."""
+        """See ``ActuatedPlant``."""
         reported = self._plant.report(command_1, command_2, left_1, left_2)
         answer = self._plant.follow(command_1, command_2, left_1, left_2)
         self._reports.record(self._tick, reported)

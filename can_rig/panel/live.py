@@ -127,7 +127,7 @@ class Frames(can.Listener):
     def in_order(self) -> list[can.Message]:
         """The frames until the newest of ``HOLD`` calls ago, in the order of their time stamps.
 
-        A lagging listener receives the frames of one node late, behind newer frames of the other
+        A lagging listener receives the frames of one node late, after newer frames of the other
         node.
         """
         until_s = self._newest_s[0]

@@ -52,7 +52,7 @@ class Session:
     Args:
         bus: name of the bus.
         scenario: scenario of the nodes.
-        settings: the ``KEY=VALUE`` changes behind ``scenario``.
+        settings: the ``KEY=VALUE`` changes after ``scenario``.
         name: name of the scenario for the user: a shipped scenario or a file.
         sends: whether the panel may send commands.
         starts: whether the panel starts the nodes; False: the bus belongs to running nodes.

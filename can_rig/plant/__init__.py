@@ -1,4 +1,4 @@
-"""The simulated car behind its actuators and its sensor, anybody's plant, and its faults.
+"""The simulated car with its actuators and its sensor, anybody's plant, and its faults.
 
 It imports `scenario` and `firmware_model`; the nodes run it.
 """

@@ -43,7 +43,7 @@ def actuator_limits(settings: PlantSettings, tick_s: float) -> FloatArray:
 
 
 class FollowedCommand:
-    """Commands behind an actuator's dead time and lag, as means over equal parts of a tick.
+    """Commands after an actuator's dead time and lag, as means over equal parts of a tick.
 
     A plant class takes held commands; the mean of each part preserves the actuator's impulse
     exactly.

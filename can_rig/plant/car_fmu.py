@@ -13,8 +13,8 @@ from can_rig.export.fmu import TICKS, Model, Variable, name_of
 from can_rig.export.law import support
 from can_rig.frames.codec import AGE
 from can_rig.frames.frame_columns import quantised
+from can_rig.plant.actuated_plant import CAR_STATES, ActuatedLinearPlant
 from can_rig.plant.actuators import actuator_limits
-from can_rig.plant.behind import CAR_STATES, LinearBehind
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.plant_faults import ADDING, PlantFaults
 from can_rig.plant.sensor import NoiseColumns
@@ -39,10 +39,10 @@ def car_model(scenario: Scenario) -> Model | None:
     Raises:
         ScenarioError: a car that is not stable.
     """
-    behind = plant_of(scenario)
-    if not isinstance(behind, LinearBehind):
+    actuated = plant_of(scenario)
+    if not isinstance(actuated, ActuatedLinearPlant):
         return None
-    plant = behind.sampled
+    plant = actuated.sampled
     network = network_of(scenario)
     senses = Senses(scenario, network.witnesses)
     timings, resolutions, witness_frames = senses.constants

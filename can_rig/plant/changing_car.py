@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 
 from can_rig.logs.columns import SPEED
-from can_rig.plant.behind import (
-    ClassBehind,
-    LinearBehind,
-    PlantBehind,
+from can_rig.plant.actuated_plant import (
+    ActuatedClassPlant,
+    ActuatedLinearPlant,
+    ActuatedPlant,
     Sensors,
     readings_of,
     sampled_plant,
@@ -39,8 +39,8 @@ ACCELERATIONS: Final = ("specific_force_mps2", "lateral_acceleration_mps2")
 """Columns that a car in the world reports."""
 
 
-def plant_of(scenario: Scenario, changing: bool = False) -> PlantBehind:
-    """Make the plant of ``scenario``, at rest, behind its actuators and its sensor.
+def plant_of(scenario: Scenario, changing: bool = False) -> ActuatedPlant:
+    """Make the plant of ``scenario``, at rest, with its actuators and its sensor.
 
     Args:
         scenario: the run.
@@ -58,8 +58,8 @@ def plant_of(scenario: Scenario, changing: bool = False) -> PlantBehind:
     if scenario.drive.is_given or (world is not None and not scenario.plant.is_own):
         return ChangingCar(scenario, world)
     if scenario.plant.is_own:
-        return ClassBehind(scenario.plant, scenario.tick_s, scenario.sensors, world)
-    return LinearBehind(scenario.plant, scenario.tick_s, scenario.sensors)
+        return ActuatedClassPlant(scenario.plant, scenario.tick_s, scenario.sensors, world)
+    return ActuatedLinearPlant(scenario.plant, scenario.tick_s, scenario.sensors)
 
 
 def linear_plant(scenario: Scenario) -> SampledPlant | None:
@@ -91,9 +91,9 @@ def _changing(
 
 
 class ChangingCar:
-    """``LinearBehind`` with a changing speed, or in a world that pushes; see ``PlantBehind``.
+    """A linear plant whose speed changes, or that the world pushes; see ``ActuatedPlant``.
 
-    In a calm world, at one speed, the plant moves as ``LinearBehind`` does, bit for bit.
+    In a calm world, at one speed, the plant moves as ``ActuatedLinearPlant`` does, bit for bit.
     """
 
     def __init__(self, scenario: Scenario, world: Disturbances | None = None) -> None:
@@ -104,7 +104,7 @@ class ChangingCar:
         )
         _, fastest = profile.range_mps
         changing = _changing(scenario.plant, fastest, scenario.tick_s, scenario.sensors)
-        self._car = LinearBehind(scenario.plant, scenario.tick_s, scenario.sensors)
+        self._car = ActuatedLinearPlant(scenario.plant, scenario.tick_s, scenario.sensors)
         self.witnesses, self._acting = self._car.witnesses, changing.acting
         self._world, self._says_speed = world, scenario.drive.is_given
         self._is_car = scenario.plant.is_car
@@ -119,7 +119,7 @@ class ChangingCar:
     def report(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> Mapping[str, float]:
-        """See ``PlantBehind``."""
+        """See ``ActuatedPlant``."""
         values = dict(self._car.report(command_1, command_2, left_1, left_2))
         speed_mps = self._profile(np.array(self._tick * self._tick_s)).item()
         if self._says_speed:
@@ -142,7 +142,7 @@ class ChangingCar:
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> tuple[float, float]:
-        """See ``PlantBehind``."""
+        """See ``ActuatedPlant``."""
         if self._world is not None and self._world.is_calm and not self._says_speed:
             self._tick += 1
             return self._car.follow(command_1, command_2, left_1, left_2)

@@ -16,8 +16,8 @@ from can_rig.errors import RigError, ScenarioError
 from can_rig.frames.codec import NO_DECISION
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
+from can_rig.plant.actuated_plant import ActuatedPlant
 from can_rig.plant.actuators import actuator_limits
-from can_rig.plant.behind import PlantBehind
 from can_rig.plant.changing_car import linear_plant, plant_of
 from can_rig.plant.faults.frame_faults import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
@@ -112,7 +112,7 @@ class Outside:
 
 
 def _part(values: Values, window: range) -> Values:
-    """The rows of a window, which may go on behind the last one."""
+    """The rows of a window, which may go on beyond the last row."""
     part = values[window.start : window.stop].copy()
     if len(part) < len(window):
         part = np.concatenate([part, np.repeat(part[-1:], len(window) - len(part), axis=0)])
@@ -296,7 +296,7 @@ def linear_law_of(
         ) from None
 
 
-def until_it_fails(plant: PlantBehind) -> PlantRead:
+def until_it_fails(plant: ActuatedPlant) -> PlantRead:
     """``plant`` with nan as its output from its first error on; a built-in car never fails."""
     return plant if isinstance(plant, LoopPlant) else UntilItFails(plant)
 
@@ -304,16 +304,16 @@ def until_it_fails(plant: PlantBehind) -> PlantRead:
 class UntilItFails:
     """A plant whose output is nan from its first error on."""
 
-    def __init__(self, plant: PlantBehind) -> None:
+    def __init__(self, plant: ActuatedPlant) -> None:
         self._plant = plant
         self._failed = False
         self.witnesses = plant.witnesses
-        """See ``PlantBehind``."""
+        """See ``ActuatedPlant``."""
 
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> tuple[float, float]:
-        """See ``PlantBehind``."""
+        """See ``ActuatedPlant``."""
         if not self._failed:
             try:
                 return self._plant.follow(command_1, command_2, left_1, left_2)

@@ -69,7 +69,7 @@ def coloured(drawn: FloatArray, memory: FloatArray, last: float) -> float:
 
 
 class FilteredSamples:
-    """Samples behind a dead time and a filter; straight lines connect the samples.
+    """Samples after a dead time and a filter; straight lines connect the samples.
 
     Args:
         stage: the sensor's lag and dead time.

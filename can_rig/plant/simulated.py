@@ -6,8 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from can_rig.frames.network import Network
+from can_rig.plant.actuated_plant import ActuatedClassPlant
 from can_rig.plant.actuators import Actuator, actuator_limits
-from can_rig.plant.behind import ClassBehind
 from can_rig.plant.changing_car import ChangingCar, plant_of
 from can_rig.plant.disturbances import Disturbances
 from can_rig.plant.faults.plant_faults import FaultsByTick
@@ -74,7 +74,7 @@ class SimulatedPlant:
         """
         self._faults.change(scenario)
         if scenario.disturbance != self._pushed_by:
-            assert isinstance(self._plant, ChangingCar | ClassBehind)
+            assert isinstance(self._plant, ChangingCar | ActuatedClassPlant)
             self._pushed_by = scenario.disturbance
             self._plant.push(Disturbances(scenario))
 

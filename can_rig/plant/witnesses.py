@@ -195,7 +195,7 @@ class Sensed:
         self._frames = SensorFrames(network, FrameFaults(scenario, network))
         self._powered_up = partial(hearing_of, scenario, network)
         self.witnesses, self.follow = plant.witnesses, plant.follow
-        """See ``PlantBehind``."""
+        """See ``ActuatedPlant``."""
         self.sent: Final[deque[list[Message]]] = deque(maxlen=KEPT_TICKS)
         """The frames of the last ticks."""
         self.restart()

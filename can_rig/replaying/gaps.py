@@ -4,7 +4,7 @@
 |-----------------|--------------------------------------------------------------------------------|
 | `missing`       | no frame of this message for the tick                                          |
 | `late`          | the frame came after the begin of a later tick                                 |
-| `out of order`  | the frame came in its tick, but behind a later frame of the tick               |
+| `out of order`  | the frame came in its tick, but after a later frame of the tick               |
 | `repeated`      | the same frame again                                                           |
 | `contradicting` | a different frame of the same message and tick                                 |
 | `counter jump`  | the alive counter disagrees with the tick                                      |

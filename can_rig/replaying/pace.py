@@ -1,7 +1,7 @@
 """Frames of a log onto a bus, in the log's own time.
 
 Every frame has its own deadline in whole nanoseconds since the first frame, so delays do not add up
-over hours. A frame behind its deadline, on a slow machine or after a backward step of the log's
+over hours. A frame later than its deadline, on a slow machine or after a backward step of the log's
 clock, is sent at once.
 """
 

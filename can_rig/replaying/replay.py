@@ -381,7 +381,7 @@ class OpenLoop:
 
 
 def _with_following(frames: Iterator[RigFrame]) -> Iterator[tuple[RigFrame, Iterable[RigFrame]]]:
-    """Every frame with the frames behind."""
+    """Every frame with the frames that follow."""
     window: deque[RigFrame] = deque(islice(frames, AHEAD))
     while window:
         frame = window.popleft()

@@ -37,7 +37,7 @@ class RigFrame(NamedTuple):
     """One frame of the network in a log."""
 
     role: int
-    """An index of `codec.ROLES`, ``SPEED_ROLE``, or a further sensor behind."""
+    """An index of `codec.ROLES`, ``SPEED_ROLE``, or, beyond both, of a further sensor."""
     time_ns: int
     """Time stamp; see `Frames.time_ns`."""
     data: bytes
@@ -104,7 +104,7 @@ class Recorded:
     answered: dict[int, int] = field(default_factory=dict)
     """By tick, the number of commands in the log."""
     late: set[int] = field(default_factory=set)
-    """Ticks with commands behind the deadline."""
+    """Ticks with commands after the deadline."""
 
     def __post_init__(self) -> None:
         hold_ticks = round(self.scenario.actuator.hold_s / self.scenario.tick_s)

@@ -18,7 +18,7 @@ from can_rig.scenario.remembered import remembered
 from can_rig.scenario.sensor_settings import ECHOES, LATERAL_ACCELERATION, YAW_RATE, FurtherSensor
 from can_rig.scenario.settings import Scenario, made_noise
 from firmware_model.design import plants
-from firmware_model.design.actuator_dynamics import behind
+from firmware_model.design.actuator_dynamics import actuated
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
 from firmware_model.design.vehicle import GRAVITY_MPS2
 from firmware_model.discretisation.targets import Reporting, Target, Witness
@@ -165,12 +165,12 @@ def slowness(scenario: Scenario) -> float:
 
 @remembered(MOST_PLANTS, by=but_for_noise)
 def continuous_plant(settings: PlantSettings) -> plants.Plant:
-    """``continuous_car`` behind the linear parts of its actuators and its sensor.
+    """``continuous_car`` with the linear parts of its actuators and its sensor.
 
     Raises:
         ScenarioError: as ``continuous_car``.
     """
-    return behind(continuous_car(settings), *settings.stages)
+    return actuated(continuous_car(settings), *settings.stages)
 
 
 def continuous_design(scenario: Scenario) -> ContinuousDesign:

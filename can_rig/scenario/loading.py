@@ -315,6 +315,7 @@ def toml_file(what: str, name: str, known: Mapping[str, Path]) -> tuple[Path, di
         ScenarioError: no such file, or invalid TOML; begins with ``what``, the noun, and ``name``.
     """
     path = known.get(name, Path(name))
+    name = name or repr(name)  # an empty name would not be seen
     if path.exists() and not path.is_file():
         raise ScenarioError(f"{what} {name}: not a file; must be a TOML file or a shipped {what}")
     if not path.is_file():
@@ -422,9 +423,12 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
             raise ScenarioError(f"scenario {name}: {key} = {given!r}: must be a table, or several")
         if key in single:
             merged[key] = [given]
-    from_bus = merged.get(LATENCY) == FROM_BUS
-    if from_bus:
+    latency = merged.get(LATENCY)
+    if from_bus := latency == FROM_BUS:
         del merged[LATENCY]
+    elif isinstance(latency, str):
+        expected = f"must be a whole number of ticks, or {FROM_BUS!r}"
+        raise ScenarioError(f"scenario {name}: {LATENCY} = {latency!r}: {expected}")
     try:  # strict JSON accepts tables for dataclasses and whole numbers for floats
         scenario = _ADAPTER.validate_json(json.dumps({"name": name, **merged}, default=str))
     except ValidationError as error:

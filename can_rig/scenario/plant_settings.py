@@ -29,7 +29,7 @@ DeadTime = Annotated[float, Field(ge=0.0, le=100.0)]
 
 @dataclass(frozen=True, config=STRICT)
 class ActuatorLag:
-    """A lag of first order, ``lag_s``, or of second order, behind a dead time."""
+    """A lag of first order, ``lag_s``, or of second order, after a dead time."""
 
     lag_s: Lag = 0.0
     natural_frequency_rad_per_s: Annotated[float, Field(ge=0.01, le=1e6)] | None = None

@@ -115,7 +115,7 @@ def append(file: IO[bytes], rows: Sequence[Sequence[float]]) -> None:
 
 
 def columns(rows: IO[bytes], width: int) -> list[NDArray[np.float64]]:
-    """The columns of a file of rows, all float64, one behind the other.
+    """The columns of a file of rows, all float64, one after the other.
 
     Raises:
         RunFolderError: as ``empty``.

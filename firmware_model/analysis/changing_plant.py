@@ -33,9 +33,9 @@ from typing import Any, Final
 import numpy as np
 
 from firmware_model.analysis.sampled_plant import split_ticks
-from firmware_model.analysis.witnesses import Reading, behind_filters
+from firmware_model.analysis.witnesses import Reading, filtered_readings
 from firmware_model.compiled import firmware
-from firmware_model.design.actuator_dynamics import Stage, behind_stages
+from firmware_model.design.actuator_dynamics import Stage, actuated_state_space
 from firmware_model.design.plants import Plant
 from firmware_model.design.vehicle import (
     LOW_SPEED_MPS,
@@ -64,7 +64,7 @@ TERMS: Final = 18  # of e^Ω for a norm of 1: 1/19! is below rounding
 
 INPUTS: Final = len(WORLD)
 FRONT_FRICTION, REAR_FRICTION, WORLD_ROW = INPUTS, INPUTS + 1, INPUTS + 2
-"""The places of both friction factors in a row of the world, behind ``WORLD``, and its length."""
+"""The places of both friction factors in a row of the world, after ``WORLD``, and its length."""
 
 NO_WORLD: Final[FloatArray] = np.zeros((0, WORLD_ROW))
 """The calm world: no input, a dry road."""
@@ -72,7 +72,7 @@ NO_WORLD: Final[FloatArray] = np.zeros((0, WORLD_ROW))
 CAR_STATES: Final = 4  # the first; only their columns depend on the road
 SHARES: Final = 4  # μ_f - 1, μ_r - 1, s - 1 and (μ_f - 1)(s - 1)
 BEHIND_A: Final = 3
-"""Rows behind A: of the reading, the output before the sensor, the acceleration; then those of
+"""Rows below A: of the reading, the output before the sensor, the acceleration; then those of
 further sensors."""
 
 
@@ -150,7 +150,7 @@ def changing_plant(
     tick_s: float,
     readings: Sequence[Reading] = (),
 ) -> ChangingPlant:
-    """``car`` behind its actuators and its sensor, at all speeds from 0 on and on every road.
+    """``car`` with its actuators and its sensor, at all speeds from 0 on and on every road.
 
     Args:
         car: its speed has no effect.
@@ -232,13 +232,13 @@ def _matrices(
     readings: Sequence[Reading],
 ) -> tuple[FloatArray, ...]:
     """A, B, the rows, E, their direct effects and what acts."""
-    (a, b, c, sensed), behind = behind_stages(state_space, world, stages)
-    assert behind is not None
+    (a, b, c, sensed), pushed = actuated_state_space(state_space, world, stages)
+    assert pushed is not None
     force = slice(SPECIFIC_FORCE, SPECIFIC_FORCE + 1)
-    rows = np.concatenate([c, sensed, behind.rows[force]])
-    (a, b, e), further = behind_filters(a, b, behind, stages, readings)
+    rows = np.concatenate([c, sensed, pushed.rows[force]])
+    (a, b, e), further = filtered_readings(a, b, pushed, stages, readings)
     rows = np.hstack([rows, np.zeros((BEHIND_A, len(a) - rows.shape[1]))])
-    direct = [behind.read, behind.f, behind.direct[force], further.direct]
+    direct = [pushed.read, pushed.f, pushed.direct[force], further.direct]
     return a, b, np.concatenate([rows, further.rows]), e, np.concatenate(direct), further.acting
 
 

@@ -21,7 +21,7 @@ LATE, GAIN, ADDED, HELD, SLEW, REPLACED, BY, DISTORTION = range(8)
 
 DOUBLE: Final = 64
 SENSOR: Final = 2
-"""The row of the sensor, behind those of both actuators."""
+"""The row of the sensor, after those of both actuators."""
 
 STEP, LEAST, MOST, BITS, SMALLEST, GRID = range(6)
 """The places in the row of a frame, and how many they are."""

@@ -29,7 +29,7 @@ WHOLE = 1e-9  # of a tick: tolerance for a whole number of ticks
 
 
 class AnyPlant(Protocol):
-    """A plant behind its actuators and sensor, at rest when it is given to ``simulate``."""
+    """A plant with its actuators and sensor, at rest when it is given to ``simulate``."""
 
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float
@@ -204,7 +204,7 @@ def follow(
         k: the tick, counted from rest.
         u1: the command that reaches actuator 1 now, before its dead time.
         u2: the command of actuator 2.
-        left_1: effectiveness of actuator 1, applied behind the dead time.
+        left_1: effectiveness of actuator 1, applied after the dead time.
         left_2: effectiveness of actuator 2.
     """
     (phi, gamma, gamma_old, changes), (sensed, c, looks_back, within), dead, immediate = constants

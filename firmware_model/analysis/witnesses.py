@@ -5,7 +5,7 @@ A reading is a row of the plant's state, of the world's inputs and of the actuat
     y(k) = R x(k) + D w(k) + S v(k-),
 
 v(k-) the values that reached the plant's inputs just before tick k. A filter of first order is one
-more state of the plant, so the reading behind the filter is exact too.
+more state of the plant, so the reading after the filter is exact too.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from firmware_model.design.vehicle import WITNESSES, WorldInputs
 from firmware_model.law.structs import FloatArray
 
 LIES, SWAPPED, INVALID, STANDING = range(hardware.DISTORTION, hardware.DISTORTION + 4)
-"""Behind the places of ``hardware``: whether an echo reports the command; the sensor whose reading
+"""After the places of ``hardware``: whether an echo reports the command; the sensor whose reading
 comes instead, -1 for none; whether the frame is marked invalid; whether the sample's tick stands
 still."""
 
@@ -78,11 +78,11 @@ def with_readings(
     """``plant`` with a state for each filter, and the readings of its states.
 
     Args:
-        plant: behind the ``stages``; see ``actuator_dynamics.behind``.
+        plant: after the ``stages``; see ``actuator_dynamics.actuated``.
         stages: of both actuators and of the sensor.
         readings: the further sensors.
     """
-    (a, b, e), found = behind_filters(plant.a, plant.b, plant.world, stages, readings)
+    (a, b, e), found = filtered_readings(plant.a, plant.b, plant.world, stages, readings)
     if len(a) == len(plant.a):
         return plant, found
     more = len(a) - len(plant.a)
@@ -104,7 +104,7 @@ def with_readings(
     )
 
 
-def behind_filters(
+def filtered_readings(
     a: FloatArray,
     b: FloatArray,
     world: WorldInputs | None,

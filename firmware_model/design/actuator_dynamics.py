@@ -1,4 +1,4 @@
-"""A car behind its actuators and its sensor: stages of unity gain in series with both channels.
+"""A car with its actuators and its sensor: stages of unity gain in series with both channels.
 
     y = S e^(-d s) (G1 A1 e^(-d1 s) u1 + G2 A2 e^(-d2 s) u2)
 
@@ -84,7 +84,7 @@ class Stage:
 IDEAL = Stage()
 
 
-def behind(car: Plant, actuator_1: Stage, actuator_2: Stage, sensor: Stage) -> Plant:
+def actuated(car: Plant, actuator_1: Stage, actuator_2: Stage, sensor: Stage) -> Plant:
     """``car`` with a stage before each input and a stage after the output.
 
     The states are those of the car, of actuator 1, of actuator 2 and of the sensor, in this order.
@@ -93,7 +93,7 @@ def behind(car: Plant, actuator_1: Stage, actuator_2: Stage, sensor: Stage) -> P
     if actuator_1 == actuator_2 == sensor == IDEAL:
         return car
     stages = (actuator_1, actuator_2, sensor)
-    (a, b, c, sensed), world = behind_stages((car.a, car.b, car.c), car.world, stages)
+    (a, b, c, sensed), world = actuated_state_space((car.a, car.b, car.c), car.world, stages)
     first, second, last = (stage.transfer_function for stage in stages)
     return replace(
         car,
@@ -109,10 +109,10 @@ def behind(car: Plant, actuator_1: Stage, actuator_2: Stage, sensor: Stage) -> P
     )
 
 
-def behind_stages(
+def actuated_state_space(
     car: StateSpace, world: WorldInputs | None, stages: tuple[Stage, Stage, Stage]
 ) -> tuple[tuple[Matrix, Matrix, Matrix, Matrix], WorldInputs | None]:
-    """A, B, the reading's C and the C before the sensor of ``behind``, and its world.
+    """A, B, the reading's C and the C before the sensor of ``actuated``, and its world.
 
     Args:
         car: A (n, n), B (n, 2) and C (1, n).

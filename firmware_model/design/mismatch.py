@@ -64,7 +64,7 @@ def principal_mismatch(
         make: G1, G2 of a car in the box; zeros are the model.
         parameters: k.
         most: of the directions, largest first; what runs has room for ``MAX_DIRECTIONS``.
-        tau_q_s: τq of q̂, behind which D* lags the reference: what is faster is hardly driven.
+        tau_q_s: τq of q̂, with which D* lags the reference; faster motion is hardly driven.
         alpha_q: its order.
     """
     if parameters == 0:

@@ -54,7 +54,7 @@ class Plant:
     transfer functions (3.18), (3.19) of its columns. Units are those of the inputs and the output:
     for the car [N m], [N] and [m/s²]. Two plants are equal only if they are the same object.
 
-    A plant behind actuators and a sensor (``actuator_dynamics``) has dead times outside G1 and G2,
+    A plant with actuators and a sensor (``actuator_dynamics``) has dead times outside G1 and G2,
     s: ``dead_times_s`` from each input, ``sensor_dead_time_s`` to the output. ``sensed`` (1, n) is
     the output before the sensor, by default ``c``. ``world`` has the world's inputs.
 

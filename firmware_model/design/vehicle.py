@@ -105,7 +105,7 @@ class WorldInputs:
     Attributes:
         e: (n, m), E. For the car m = 4, in the units of ``WORLD``.
         f: (1, m), F of the output before the sensor.
-        read: (1, m), F of the sensor's reading; zero behind a sensor that lags.
+        read: (1, m), F of the sensor's reading; zero for a sensor that lags.
         rows: (r, n). For the car r = 4, in the units of ``WITNESSES``.
         direct: (r, m).
     """

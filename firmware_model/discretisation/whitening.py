@@ -2,7 +2,7 @@
 
 The measurement of a healthy plant, minus the model's answer, is
 
-    e = l + n + rounding,  n(k) = a n(k-1) + white,  l = a random walk d behind two equal lags
+    e = l + n + rounding,  n(k) = a n(k-1) + white,  l = a random walk d after two equal lags
 
 The lags are as slow as channel 1: the onset of a disturbance is as smooth as the onset of a loss,
 so the smoothness alone is no evidence. The stationary Kalman filter of this model has the gain K
@@ -51,7 +51,7 @@ LEAST = 1e-5  # disturbance of a tick over white noise: less is beyond the solve
 
 
 def whitening(channel_1: Sections, target: Target) -> Whitening:
-    """W for the ``target``'s noise and disturbance, behind lags as slow as ``channel_1``.
+    """W for the ``target``'s noise and disturbance, after lags as slow as ``channel_1``.
 
     A disturbance below ``LEAST`` of the noise does not show, and W is the noise's.
     """

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
+from firmware_model.design.actuator_dynamics import IDEAL, Stage, actuated
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.mismatch import Mismatch
 from firmware_model.design.plants import Plant, steer_by_wire
@@ -26,7 +26,7 @@ SPECIFICATION = DesignSpecification(tau_s=0.002, alpha=2, tau_q_s=0.015, alpha_q
 
 def car(speed_mps: float, stages: tuple[Stage, Stage, Stage] = LAGS, mass: float = 1.0) -> Plant:
     heavier = replace(TABLE_3_2, speed_mps=speed_mps, mass_kg=mass * TABLE_3_2.mass_kg)
-    return behind(steer_by_wire(heavier), *stages)
+    return actuated(steer_by_wire(heavier), *stages)
 
 
 def scheduled(

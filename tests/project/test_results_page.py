@@ -8,7 +8,7 @@ import pytest
 from scenario_keys import unit
 
 from can_rig.logs.columns import EVIDENCE, ON_THE_BUS as COLUMNS, SPEED, VERDICT
-from can_rig.plant.behind import LinearBehind
+from can_rig.plant.actuated_plant import ActuatedLinearPlant
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.sensor_settings import USUAL
 from tests.project.pages import table, text_of
@@ -37,7 +37,7 @@ def names(heading: str) -> list[str]:
 
 
 def test_columns_of_signals():
-    car = LinearBehind(PlantSettings(), 0.001)
+    car = ActuatedLinearPlant(PlantSettings(), 0.001)
     sensors = [each.column for each in USUAL.values()]
     reported = car.report(0.0, 0.0, 1.0, 1.0)
     assert names("column") == [*COLUMNS, *reported, SPEED, VERDICT, *EVIDENCE, *sensors]

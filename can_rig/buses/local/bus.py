@@ -469,7 +469,7 @@ class LocalBus(BusABC):
                 self._drop(self._own)
 
     def send_burst(self, frames: memoryview) -> None:
-        """Send classic frames of 8 bytes, each behind its header, as `send` does.
+        """Send classic frames of 8 bytes, each after its header, as `send` does.
 
         Raises:
             can.CanOperationError: the bus is closed.

@@ -1,4 +1,4 @@
-/* The car of scenario {scenario}, behind its actuators and its sensors; see car.c. */
+/* The car of scenario {scenario}, with its actuators and its sensors; see car.c. */
 #ifndef CAR_H
 #define CAR_H
 

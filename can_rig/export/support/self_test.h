@@ -40,7 +40,7 @@ struct self_test_part {
     bool is_reset; /* begins with firmware_reset to its first reference; else with firmware_init */
 };
 
-/* Numbers of one kind, one behind the other in a struct. */
+/* Numbers of one kind, one after the other in a struct. */
 struct self_test_span {
     uint32_t offset;
     uint16_t count;

@@ -10,7 +10,7 @@
  *     'B', schedule, blending       there is no answer
  *     'V', speed                    change of the speed; the state
  *
- * Behind each state go the table and the blending.
+ * After each state go the table and the blending.
  *
 //: else
  *

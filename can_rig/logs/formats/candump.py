@@ -50,7 +50,7 @@ _FD_FLAGS_SHIFT: Final = 4  # of BITRATE_SWITCH and ERROR_STATE, in candump's or
 
 @compiled
 def _line(text: UInt8s, at: int, names: NDArray[np.int64], row: UInt8s) -> scan.Found:
-    """See `scan.Line`; ``names`` are those of the known buses, each with a newline behind it."""
+    """See `scan.Line`; ``names`` are those of the known buses, each with a newline after it."""
     at = scan.blanks(text, at)
     if text[at] in (scan.NEWLINE, _HASH):
         return scan.NO_FRAME, 0, 0, 0, 0, 0, at
@@ -120,7 +120,7 @@ def _identifier(text: UInt8s, at: int) -> tuple[int, int, int]:
 
 @compiled
 def _payload(text: UInt8s, at: int, bits: int, row: UInt8s) -> tuple[int, int, int]:
-    """The text behind the first ``#``, into ``row``: flags, length, and the position after it.
+    """The text after the first ``#``, into ``row``: flags, length, and the position after it.
 
     The position is -1 for text that is no payload.
     """

@@ -67,12 +67,12 @@ class MdfError(ValueError):
 
 
 class MdfCutError(MdfError):
-    """Something that a link leads to is behind the end of the file."""
+    """Something that a link leads to is beyond the end of the file."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """One block: its position, its links, and the bytes behind them."""
+    """One block: its position, its links, and the bytes after them."""
 
     at: int
     kind: bytes
@@ -385,7 +385,7 @@ class Values:
         self._held += more
 
     def rows(self, offsets: Any, length: UInt8s) -> tuple[UInt8s, NDArray[np.bool_]]:
-        """(n, 8) or (n, 64) payloads that begin at ``offsets`` (n,), zero behind their lengths.
+        """(n, 8) or (n, 64) payloads that begin at ``offsets`` (n,), zero beyond their lengths.
 
         And (n,) whether the file has the payload.
         """
@@ -688,7 +688,7 @@ def time_ns(file: MdfFile, channel: Channel, records: UInt8s, first: int) -> NDA
 
 
 def payloads(channel: Channel, records: UInt8s, length: UInt8s) -> UInt8s:
-    """(n, 8) or (n, 64) bytes of a channel of fixed size; zero behind the lengths.
+    """(n, 8) or (n, 64) bytes of a channel of fixed size; zero beyond the lengths.
 
     Raises:
         MdfError: the channel does not lie within the records.

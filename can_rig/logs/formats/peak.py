@@ -270,7 +270,7 @@ class _MicrochipReader(_Reader):
         self.use("OTilD")
 
     def ended(self, line: bytes, frame: Frames) -> bool:
-        """A byte with both digits, or the text behind a byte."""
+        """A byte with both digits, or the text after a byte."""
         return bool(_WHOLE.search(line))
 
     def plain(self, text: bytes) -> bytes:

@@ -75,7 +75,7 @@ _ID_MASK, _EXTENDED_SHIFT = (1 << 29) - 1, 31
 
 @compiled
 def _objects(data: UInt8s, at: int, columns: Columns) -> tuple[int, int, int]:
-    """Fill the columns from the objects that begin at ``at``, behind zeros or up to 8 bytes later.
+    """Fill the columns from the objects that begin at ``at``, after zeros or up to 8 bytes later.
 
     ``columns.channel`` gets numbers of buses, from 1. Returns the number of frames, where the next
     object begins, and why it stopped there.
@@ -121,7 +121,7 @@ def _objects(data: UInt8s, at: int, columns: Columns) -> tuple[int, int, int]:
 
 @compiled
 def _least_bytes(kind: int) -> int:
-    """Bytes behind the header that an object must have; 0 for objects without a frame."""
+    """Bytes after the header that an object must have; 0 for objects without a frame."""
     if kind in (_MESSAGE, _MESSAGE_2):
         return 16
     if kind == _ERROR_EXT:

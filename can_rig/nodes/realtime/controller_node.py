@@ -31,7 +31,7 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState, Mode, Verdict
 
 MOST_OTHERS: Final = 30
-"""Frames looked at behind a sample before it is answered: a flood never ends."""
+"""Frames looked at after a sample before it is answered: a flood never ends."""
 
 TRIALS: Final = 5
 """Steps at rest that tell how long a step takes at least."""
@@ -95,7 +95,7 @@ class RealTimeControllerNode:
     Args:
         scenario: the run.
         network: the frames of the run.
-        bus: for sending, and for a look at frames queued behind the received frame; never raises
+        bus: for sending, and for a look at frames queued after the received frame; never raises
             ``can.CanError``.
         clock: the time; a clock other than the clock of the bus's time stamps makes the stamps
             meaningless.

@@ -25,9 +25,9 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import BoolArray
 
 SENSOR_PLACE: Final = 2
-"""Place number of the D* frame, behind both commands."""
+"""Place number of the D* frame, after both commands."""
 STATUS: Final = 2
-"""Column of the status frame, which no fault changes, behind both commands."""
+"""Column of the status frame, which no fault changes, after both commands."""
 
 
 class FrameFault(Protocol):

@@ -32,7 +32,7 @@ class Constants(Struct):
 class State(Struct):
     """State."""
 
-    slow: Annotated[float, "y", "d̂ behind the lag"]
+    slow: Annotated[float, "y", "d̂ after the lag"]
     sudden: Annotated[float, "y", "d̂ of this tick minus the slow d̂"]
 
 

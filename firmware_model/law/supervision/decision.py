@@ -118,7 +118,7 @@ class Constants(Struct):
     suspect: Annotated[float, "1", "evidence of a suspicion"]
     takeover: Annotated[float, "1", "evidence that confirms a candidate of a takeover"]
     horizon: Annotated[float, "tick", "time within which a new loss must show"]
-    shown: Annotated[float, "1", "energy of a constant of size 1 behind W within ``horizon``"]
+    shown: Annotated[float, "1", "energy of a constant of size 1 after W within ``horizon``"]
 
 
 @firmware

@@ -109,10 +109,10 @@ class State(Struct):
 
     actuators: Annotated[Records[Echo], "1", "of both actuators", (ACTUATORS,)]
     index: Annotated[int, "1", "index of the newest output in the rings"]
-    between: Annotated[float, "y", "what C has taken over, behind the first lag"]
-    handed: Annotated[float, "y", "the same behind the second lag"]
-    told_between: Annotated[float, "y", "what C does of an echo not believed, behind the first lag"]
-    told_handed: Annotated[float, "y", "the same behind the second lag"]
+    between: Annotated[float, "y", "what C has taken over, after the first lag"]
+    handed: Annotated[float, "y", "the same after the second lag"]
+    told_between: Annotated[float, "y", "what C does of an echo not believed, after the first lag"]
+    told_handed: Annotated[float, "y", "the same after the second lag"]
 
 
 @firmware

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 class Saved(Struct):
     """The saved state; neither precision has padding."""
 
-    crc: Annotated[int, "1", "CRC-32 of all bytes behind this number"]
+    crc: Annotated[int, "1", "CRC-32 of all bytes after this number"]
     fingerprint: Annotated[int, "1", "CRC-32 of the constants and of this layout; 0: nothing saved"]
     fault_state: Annotated[int, "1", "a FaultState"]
     verdict: Annotated[int, "1", "a Verdict"]

@@ -49,8 +49,8 @@ class State(Struct):
         biquad.State, "y", "state of G1 driven only by the last command before the loss"
     ]
     share: Annotated[float, "1", "s, the lost share of channel 1 at the confirmation"]
-    between: Annotated[float, "1", "s behind the first lag"]
-    followed: Annotated[float, "1", "s behind the second lag"]
+    between: Annotated[float, "1", "s after the first lag"]
+    followed: Annotated[float, "1", "s after the second lag"]
     previous_output: Annotated[float, "y", "w of the last tick"]
     delay: Annotated[FloatArray, "y", "ring of w on its way into d̂", (MAX_SHOWN_TICKS,)]
     fading: Annotated[biquad.State, "y", "state of G1 left by the losses and returns before"]

@@ -13,7 +13,7 @@ from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, law_in
 from firmware_model.analysis.sampled_loop import sampled_loop
 from firmware_model.analysis.sampled_plant import follow, sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
+from firmware_model.design.actuator_dynamics import IDEAL, Stage, actuated
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.discretisation.tables import build
@@ -63,7 +63,7 @@ def continuously(plant: Plant, commands: FloatArray, left: FloatArray) -> FloatA
 @given(delays, delays, delays, st.integers(0, 2**31))
 @example(0.003, 0.001, 0.002, 3)  # whole ticks
 def test_any_dead_time_is_exact(first_s, second_s, sensor_s, seed):
-    plant = behind(
+    plant = actuated(
         CAR,
         Stage(0.004, dead_time_s=first_s),
         Stage(natural_frequency_rad_per_s=300.0, damping=0.5, dead_time_s=second_s),
@@ -79,7 +79,7 @@ def test_any_dead_time_is_exact(first_s, second_s, sensor_s, seed):
     assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
 
 
-KNOWN = behind(
+KNOWN = actuated(
     CAR,
     Stage(0.010, dead_time_s=0.0024),
     Stage(0.020, dead_time_s=0.001),
@@ -91,7 +91,7 @@ SLOW = DesignSpecification(tau_s=0.02, alpha=3, tau_q_s=0.03, alpha_q=4)
 @pytest.mark.compiled
 def test_f1_waits_for_the_dead_times_of_each_channel():
     """Whole ticks, sensor included; a loop without a fault then has no d̂."""
-    whole = behind(
+    whole = actuated(
         CAR, Stage(0.01, dead_time_s=0.003), Stage(0.02, dead_time_s=0.001), Stage(0.001)
     )
     table = build(design(whole, SLOW), Target(TICK_S, latency_ticks=2, estimator="zoh"))
@@ -135,7 +135,7 @@ def test_the_loop_s_matrix_is_the_simulation(plant, left):
 
 def test_a_reset_fills_what_is_in_the_dead_times():
     """From the settled loop on, nothing moves and nothing looks like a loss."""
-    late = behind(CAR, Stage(0.01, dead_time_s=0.003), Stage(dead_time_s=0.005), IDEAL)
+    late = actuated(CAR, Stage(0.01, dead_time_s=0.003), Stage(dead_time_s=0.005), IDEAL)
     firmware = Firmware(build(design(late, SLOW), Target(TICK_S, latency_ticks=2, estimator="zoh")))
     firmware.reset(1.0)
     torque, _ = firmware.commands

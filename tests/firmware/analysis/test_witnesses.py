@@ -18,17 +18,17 @@ from firmware_model.analysis.witnesses import (
     VALID,
     Reading,
     acting_before,
-    behind_filters,
+    filtered_readings,
     read_witnesses,
     sense,
     with_readings,
 )
-from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
+from firmware_model.design.actuator_dynamics import IDEAL, Stage, actuated
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.vehicle import TABLE_3_2, dstar
 
 STAGES = (Stage(0.005), IDEAL, IDEAL)
-PLANT = behind(steer_by_wire(), *STAGES)
+PLANT = actuated(steer_by_wire(), *STAGES)
 READINGS = [Reading(0), Reading(1, 0.01), Reading(ECHO), Reading(ECHO + 1, 0.02)]
 
 
@@ -61,14 +61,14 @@ def test_without_filters_the_plant_stays_and_an_ideal_actuator_echoes_its_comman
 
 
 def test_an_echo_needs_no_world():
-    (a, _, e), readings = behind_filters(PLANT.a, PLANT.b, None, STAGES, [Reading(ECHO, 0.1)])
+    (a, _, e), readings = filtered_readings(PLANT.a, PLANT.b, None, STAGES, [Reading(ECHO, 0.1)])
     assert len(a) == len(PLANT.a) + 1
     assert not e.any() and readings.rows[0, -1] == 1.0
 
 
 @pytest.mark.parametrize(("dead_ticks", "expected"), [(0, 4.0), (2, 2.5)])
 def test_the_acting_command_waited_for_the_dead_time(dead_ticks, expected):
-    plant = behind(steer_by_wire(), Stage(dead_time_s=dead_ticks * 0.001), IDEAL, IDEAL)
+    plant = actuated(steer_by_wire(), Stage(dead_time_s=dead_ticks * 0.001), IDEAL, IDEAL)
     sampled = sample(plant, 0.001)
     memory = sampled.memory
     commands = memory[2]

@@ -16,7 +16,7 @@ from firmware_model.analysis.changing_plant import (
     specific_force,
 )
 from firmware_model.analysis.sampled_plant import follow, sample
-from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
+from firmware_model.design.actuator_dynamics import IDEAL, Stage, actuated
 from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.design.vehicle import (
     LOW_SPEED_MPS,
@@ -111,7 +111,7 @@ def test_a_constant_speed_and_road_is_exact(speed, variant):
     """By scipy's exponential of the plant of these conditions, its command and straight lines."""
     car, friction = replace(TABLE_3_2, speed_mps=speed), (0.4, 0.7)
     (a, b, c), at = single_track(car, variant, friction)
-    plant = behind(Plant.from_state_space("slippery", a, b, c, at), *LAGS)
+    plant = actuated(Plant.from_state_space("slippery", a, b, c, at), *LAGS)
     around, n = plant.world, len(plant.a)
     made = changing_plant(car, variant, LAGS, 40.0, TICK_S)
     world = np.hstack([inputs(), np.tile(friction, (TICKS + 1, 1))])
@@ -139,7 +139,7 @@ def test_a_constant_speed_and_road_is_exact(speed, variant):
 @pytest.mark.parametrize("stages", ALL)
 def test_at_a_constant_speed_without_a_world_it_is_the_sampled_plant(stages):
     found, *_ = changing(None, commands(), lambda _: 17.0, stages, left=(1.0, 0.5))
-    exact = sample(behind(steer_by_wire(replace(TABLE_3_2, speed_mps=17.0)), *stages), TICK_S)
+    exact = sample(actuated(steer_by_wire(replace(TABLE_3_2, speed_mps=17.0)), *stages), TICK_S)
     constants, memory = exact.constants, exact.memory
     expected = [follow(constants, memory, k, *u, 1.0, 0.5) for k, u in enumerate(commands())]
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()

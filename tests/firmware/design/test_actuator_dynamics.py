@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, strategies as st
 from numpy.testing import assert_allclose
 
-from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
+from firmware_model.design.actuator_dynamics import IDEAL, Stage, actuated
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.errors import ImproperError, ParameterError
@@ -44,7 +44,7 @@ def test_a_stage_is_the_textbook_s_with_unity_gain(stage):
 
 @given(stages, stages, stages)
 def test_a_plant_behind_stages_is_their_product(first, second, sensor):
-    plant = behind(CAR, first, second, sensor)
+    plant = actuated(CAR, first, second, sensor)
     response = control.ss(plant.a, plant.b, plant.c, np.zeros((1, 2)))(POINTS)[0]
     for channel, g, stage in ((0, plant.g1, first), (1, plant.g2, second)):
         car = (CAR.g1, CAR.g2)[channel]
@@ -58,7 +58,7 @@ def test_a_plant_behind_stages_is_their_product(first, second, sensor):
 
 @pytest.mark.parametrize("car", [CAR, NUMBERS])
 def test_the_output_before_the_sensor_is_that_of_the_car(car):
-    plant = behind(car, Stage(0.005), IDEAL, Stage(0.01))
+    plant = actuated(car, Stage(0.005), IDEAL, Stage(0.01))
     assert plant.sensed is not None
     assert (plant.world is None) == (car is NUMBERS)
     before = control.ss(plant.a, plant.b, plant.sensed, np.zeros((1, 2)))(POINTS)[0]
@@ -67,11 +67,13 @@ def test_the_output_before_the_sensor_is_that_of_the_car(car):
 
 
 def test_behind_nothing_it_is_the_car_itself():
-    assert behind(CAR, IDEAL, IDEAL, IDEAL) is CAR
+    assert actuated(CAR, IDEAL, IDEAL, IDEAL) is CAR
 
 
 def test_dead_times_stay_beside_the_channels():
-    plant = behind(CAR, Stage(dead_time_s=0.002), Stage(dead_time_s=0.003), Stage(dead_time_s=0.01))
+    plant = actuated(
+        CAR, Stage(dead_time_s=0.002), Stage(dead_time_s=0.003), Stage(dead_time_s=0.01)
+    )
     assert (plant.g1, plant.g2) == (CAR.g1, CAR.g2)
     assert plant.path_dead_times_s == pytest.approx((0.012, 0.013))
 
@@ -100,7 +102,7 @@ def test_what_is_no_stage_is_refused(stage, line):
 )
 def test_an_order_that_lags_make_too_small_is_refused(specification, line):
     """G1 has relative degree 2 and G2 1; a lag and the sensor add one each."""
-    plant = behind(CAR, Stage(0.005), Stage(0.015), Stage(0.01))
+    plant = actuated(CAR, Stage(0.005), Stage(0.015), Stage(0.01))
     with pytest.raises(ImproperError, match=line):
         design(plant, DesignSpecification(tau_s=0.01, tau_q_s=0.01, **specification))
     design(plant, DesignSpecification(tau_s=0.01, tau_q_s=0.01, alpha=3, alpha_q=4))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import linalg
 
-from firmware_model.design.actuator_dynamics import Stage, behind
+from firmware_model.design.actuator_dynamics import Stage, actuated
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.design.vehicle import TABLE_3_2
@@ -114,8 +114,10 @@ def test_lags_that_are_equal_cannot_be_told_apart():
 
 
 def test_a_model_of_too_high_an_order_is_refused():
-    one = behind(car(12.0), Stage(0.002), Stage(0.003), Stage(natural_frequency_rad_per_s=90.0))
-    long = behind(one, *(Stage(natural_frequency_rad_per_s=each) for each in (150.0, 170.0, 260.0)))
+    one = actuated(car(12.0), Stage(0.002), Stage(0.003), Stage(natural_frequency_rad_per_s=90.0))
+    long = actuated(
+        one, *(Stage(natural_frequency_rad_per_s=each) for each in (150.0, 170.0, 260.0))
+    )
     at = (long, zoh(long.g1, TICK_S))
     with pytest.raises(ParameterError, match="a model of 12 states: must have at most 8"):
         turn(at, at, 0, "zoh")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
+from firmware_model.design.actuator_dynamics import IDEAL, Stage, actuated
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
 from firmware_model.design.mismatch import TRUSTED
 from firmware_model.design.plants import steer_by_wire
@@ -109,7 +109,7 @@ def at_infinity(sections: Sections) -> float:
 
 def late(first_s: float = 0.0, second_s: float = 0.0, sensor_s: float = 0.0) -> ContinuousDesign:
     stages = (Stage(dead_time_s=dead_s) for dead_s in (first_s, second_s, sensor_s))
-    return design(behind(steer_by_wire(), *stages), DesignSpecification())
+    return design(actuated(steer_by_wire(), *stages), DesignSpecification())
 
 
 @pytest.mark.parametrize("latency", [0, 2])

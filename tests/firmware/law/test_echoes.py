@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
+from firmware_model.design.actuator_dynamics import IDEAL, Stage, actuated
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Reporting, Target
@@ -39,7 +39,7 @@ def table_of(
     echo_rms: float = 0.0,
     **changes: Any,
 ) -> Any:
-    plant = behind(CAR, *actuators, IDEAL)
+    plant = actuated(CAR, *actuators, IDEAL)
     reporting = Reporting(actuators[0], echo_rms), Reporting(actuators[1], echo_rms)
     known = {"on_confirmation": True, "noise_rms": RMS, **changes}
     target = Target(TICK_S, latency, "zoh", echoes=reporting if echoes else None, **known)
@@ -85,7 +85,7 @@ class Car:
     """The car behind ``LAGS``, sampled by scipy, with what its actuators report."""
 
     def __init__(self) -> None:
-        plant = behind(CAR, *LAGS, IDEAL)
+        plant = actuated(CAR, *LAGS, IDEAL)
         blank = np.zeros((1, 2))
         system = signal.cont2discrete((plant.a, plant.b, plant.c, blank), TICK_S)
         self.a, self.b, self.c = system[:3]

@@ -7,8 +7,8 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.logs.columns import TRUE_OUTPUT
+from can_rig.plant.actuated_plant import ActuatedLinearPlant
 from can_rig.plant.actuators import FollowedCommand
-from can_rig.plant.behind import LinearBehind
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.sensor import FilteredSamples, NoiseColumns
 from can_rig.plant.simulated import SimulatedPlant
@@ -180,7 +180,7 @@ def test_reports_of_a_whole_run_are_those_of_its_ticks(own):
     """In pieces, the first of which ends before the dead times do."""
     name = "chapter-2" if "plant.kind=chapter-2" in own else "thesis-step"
     scenario = settings(*own[: 0 if name == "chapter-2" else None], name=name)
-    plant = LinearBehind(scenario.plant, scenario.tick_s)
+    plant = ActuatedLinearPlant(scenario.plant, scenario.tick_s)
     commands = np.array(commands_of(30, hold=1))
     left = np.where(np.arange(30)[:, None] < 17, 1.0, [0.25, 0.5])
     states, output, reports, last = [], [], [], 0.0
@@ -200,7 +200,7 @@ def test_reports_of_a_whole_run_are_those_of_its_ticks(own):
 
 
 def test_a_column_has_no_negative_zero_as_no_frame_has():
-    plant = LinearBehind(settings().plant, 0.001)
+    plant = ActuatedLinearPlant(settings().plant, 0.001)
     states, left, reached = np.zeros((3, 4)), np.ones((3, 2)), np.full((2, 3), -0.0)
     columns = plant.report_columns(np.zeros(3), states, reached, left, range(3))
     assert not np.signbit(columns["applied_torque_nm"]).any()
@@ -209,7 +209,7 @@ def test_a_column_has_no_negative_zero_as_no_frame_has():
 # --- a plant class: its steps, and its inputs ----------------------------------------------------
 
 CLASS = f"plant.kind={LINEAR}"
-COUNTING = "plant.kind=tests.rig.plant.test_behind:Counting"
+COUNTING = "plant.kind=tests.rig.plant.test_actuated_plant:Counting"
 EQUAL_LAGS = [
     "plant.torque_actuator.lag_s=0.005",
     "plant.force_difference_actuator.lag_s=0.005",
@@ -235,7 +235,7 @@ class Counting:
         return {"steps": float(len(self.steps)), "longest_s": longest_s}
 
 
-def behind(*settings: str, tick_s: float = 1e-3) -> Any:
+def actuated(*settings: str, tick_s: float = 1e-3) -> Any:
     return plant_of(load("thesis-step", ["fault.kind=none", f"tick_s={tick_s}", *settings]))
 
 
@@ -247,7 +247,7 @@ def behind(*settings: str, tick_s: float = 1e-3) -> Any:
 )  # fmt: skip
 def test_a_tick_is_one_step_or_as_many_as_are_short(settings, tick_s, steps):
     """At most half a millisecond, where anything lags."""
-    plant = behind(COUNTING, *settings, tick_s=tick_s)
+    plant = actuated(COUNTING, *settings, tick_s=tick_s)
     before = plant.report(0.0, 0.0, 1.0, 1.0)
     assert (before["steps"], before[TRUE_OUTPUT]) == (0.0, 0.0)  # it is at rest
     output, _ = plant.follow(1.0, 1.0, 1.0, 1.0)
@@ -257,5 +257,5 @@ def test_a_tick_is_one_step_or_as_many_as_are_short(settings, tick_s, steps):
 
 
 def test_the_sensor_is_late_and_the_car_is_not():
-    plant = behind(COUNTING, "plant.sensor.dead_time_s=0.0015")
+    plant = actuated(COUNTING, "plant.sensor.dead_time_s=0.0015")
     assert [plant.follow(0.0, 0.0, 1.0, 1.0) for _ in range(3)] == [(2, 0), (4, 1), (6, 3)]

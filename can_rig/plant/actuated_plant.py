@@ -1,4 +1,4 @@
-"""A plant behind its actuators and its sensor, a tick at a time.
+"""A plant with its actuators and its sensor, a tick at a time.
 
 A linear plant is exact; a plant class advances in steps far shorter than the lags. Both also report
 signals beyond the frames, by names that end in a unit.
@@ -41,8 +41,8 @@ CAR_STATES = ("side_slip_rad", "yaw_rate_rad_per_s", None, "steering_angle_rad")
 """State names of the linear car, in state order."""
 
 
-class PlantBehind(Protocol):
-    """A plant behind its actuators and its sensor, initially at rest."""
+class ActuatedPlant(Protocol):
+    """A plant with its actuators and its sensor, initially at rest."""
 
     witnesses: FloatArray
     """(r,), what the scenario's further sensors read at this tick, without errors."""
@@ -93,7 +93,7 @@ def with_outputs(plant: Plant, sensors: Sensors) -> Plant:
 
 @remembered(16, by=but_for_noise)
 def sampled_plant(settings: PlantSettings, tick_s: float, sensors: Sensors = ()) -> SampledPlant:
-    """A linear plant behind its actuators and its sensors between two ticks.
+    """A linear plant with its actuators and its sensors between two ticks.
 
     Raises:
         ScenarioError: a car that is not stable.
@@ -103,7 +103,7 @@ def sampled_plant(settings: PlantSettings, tick_s: float, sensors: Sensors = ())
     return sample(plant, tick_s, readings)
 
 
-class LinearBehind:
+class ActuatedLinearPlant:
     """The thesis's plants: one matrix for car, actuators and sensor."""
 
     def __init__(self, settings: PlantSettings, tick_s: float, sensors: Sensors = ()) -> None:
@@ -132,7 +132,7 @@ class LinearBehind:
     def report(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> Mapping[str, float]:
-        """See ``PlantBehind``."""
+        """See ``ActuatedPlant``."""
         commands = self.memory[2]
         x = self.memory[0].tolist()
         values = {TRUE_OUTPUT: self._output}
@@ -187,7 +187,7 @@ class LinearBehind:
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> tuple[float, float]:
-        """See ``PlantBehind``."""
+        """See ``ActuatedPlant``."""
         output, read = follow(
             self._constants, self.memory, self._tick, command_1, command_2, left_1, left_2
         )
@@ -220,7 +220,7 @@ class LinearBehind:
         self._output = output
 
 
-class ClassBehind:
+class ActuatedClassPlant:
     """A plant class in equal steps of a tick, each with the mean of the actuators' output.
 
     With immediate actuators and an immediate sensor, one step spans the whole tick.
@@ -261,7 +261,7 @@ class ClassBehind:
     def report(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> Mapping[str, float]:
-        """See ``PlantBehind``."""
+        """See ``ActuatedPlant``."""
         return {
             TRUE_OUTPUT: self._output,
             **self._plant.signals(),
@@ -278,7 +278,7 @@ class ClassBehind:
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> tuple[float, float]:
-        """See ``PlantBehind``."""
+        """See ``ActuatedPlant``."""
         world = self._next_world()
         if self._ideal:
             acting = left_1 * command_1, left_2 * command_2
@@ -310,9 +310,9 @@ class ClassBehind:
         if not self._sources:
             return
         reported = self._plant.readable()
-        for at, (source, behind) in enumerate(zip(self._sources, self._filters, strict=True)):
+        for at, (source, filtered) in enumerate(zip(self._sources, self._filters, strict=True)):
             truth = reported[source] if source else acted[self._channels[at]]
-            self.witnesses[at] = behind.next(truth)
+            self.witnesses[at] = filtered.next(truth)
 
     def _next_world(self) -> list[FloatArray]:
         """The world around each step of this tick; empty in a calm world."""
