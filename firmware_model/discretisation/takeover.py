@@ -32,6 +32,8 @@ DOUBTED: Final = 0.2
 """Deviation of m, over the largest m: the plant is not the model."""
 LITTLE: Final = 1e-6
 """Variance per tick, as a part of the sensor's, that keeps the equation of the gain solvable."""
+SOLVED: Final = 1e-3
+"""Change of the gain by a step of its recursion, over the gain, up to which the gain is solved."""
 FALSE_VERDICTS: Final = 1e-2
 """Of a healthy channel 1, in a takeover."""
 
@@ -74,6 +76,10 @@ def observer(phi: np.ndarray, c: np.ndarray, memory: float) -> tuple[np.ndarray,
         phi: Φ, shape (n, n), stable.
         c: shape (n,).
         memory: time constant of the fading memory, in ticks.
+
+    Raises:
+        DesignError: double precision gives no gain, or a gain that its recursion changes.
+        LinAlgError: no solution of the Riccati equation.
     """
     row = c[None, :]
     energies = np.diag(energy_of(phi, c))
@@ -81,6 +87,11 @@ def observer(phi: np.ndarray, c: np.ndarray, memory: float) -> tuple[np.ndarray,
     faster = phi * math.exp(1.0 / memory)
     covariance = linalg.solve_discrete_are(faster.T, row.T, scale, np.eye(1))
     gain = (phi @ covariance @ row.T / (row @ covariance @ row.T + 1.0))[:, 0]
+    learned = faster - np.outer(gain, c) * math.exp(1.0 / memory)
+    after = learned @ covariance @ faster.T + scale
+    again = (phi @ after @ row.T / (row @ after @ row.T + 1.0))[:, 0]
+    if np.abs(again - gain).max() > SOLVED * np.abs(gain).max():
+        raise DesignError("the observer of the takeover has no gain in double precision")
     corrected = phi - np.outer(gain, c)
     return gain, energy_of(corrected.T, gain)
 

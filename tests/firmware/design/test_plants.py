@@ -16,7 +16,7 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import ParameterError, ZeroChannelError
 from tests.firmware.design.test_vehicle import cars
 
-OMEGAS = np.logspace(-2, 5, 8)
+OMEGAS = np.e * np.logspace(-2, 5, 8)  # where no drawn pole lies on the imaginary axis
 
 
 def _exact(plant: Plant, omega: float) -> list[complex]:

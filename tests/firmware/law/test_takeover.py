@@ -194,14 +194,18 @@ def test_the_observer_is_least_squares_with_a_fading_memory():
         assert row @ covariance @ row == pytest.approx(row @ spread @ spread.T @ row, rel=0.05)
 
 
-def test_without_a_stable_observer_there_is_no_takeover():
-    """Seven lags a rad/s apart, a tick of 1 ms: their sum is beyond double precision."""
-    poles = -np.arange(1.0, 8.0)
+@pytest.mark.parametrize(("lags", "solved"), [(5, True), *((n, False) for n in range(6, 11))])
+def test_without_a_trustworthy_observer_there_is_no_takeover(lags, solved):
+    """Lags a rad/s apart, a tick of 1 ms: the sum of more than five is beyond double precision.
+
+    What scipy returns for them depends on the processor, and is sometimes a stable observer.
+    """
+    poles = -np.arange(1.0, 1.0 + lags)
     zeros = np.roots(np.polyder(np.poly(poles)))
-    g1 = zoh(ZeroPoleGain(tuple(zeros), tuple(poles), 7.0), TICK_S)
+    g1 = zoh(ZeroPoleGain(tuple(zeros), tuple(poles), float(lags)), TICK_S)
     constants = zeroed(Constants, "float64")[0]
     fill_takeover(constants, Target(tick_s=TICK_S), g1)
-    assert not constants.enabled
+    assert constants.enabled == solved
 
 
 def test_the_doubt_is_the_variance_that_noise_leaves():
