@@ -89,7 +89,7 @@ PARTS = {
     "plant={mas=1}": "plant.mas: unknown key",
     "design.fault_threshold_mps2=0.02": "design.fault_threshold_mps2: unknown key",
     "model.kind=a:B": "model.kind = 'a:B'",
-    "latency_ticks=from-budget": "latency_ticks = 'from-budget': must be a whole number of ticks, or 'from-bus'",
+    "latency_ticks=from-budget": "latency_ticks = 'from-budget': must be a whole number of ticks",
     "seed=from-bus": "seed = 'from-bus': must be a valid integer",
     "design.tau_s=from-bus": "must be a valid number",
     "seed": "KEY=VALUE", "=5": "KEY=VALUE", "plant.=5": "KEY=VALUE", "": "KEY=VALUE",
