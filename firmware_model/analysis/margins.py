@@ -15,16 +15,15 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
 
 from firmware_model.analysis.sampled_loop import (
-    OPEN_INTEGRATOR,
     LinearController,
     SampledLoop,
+    integrators,
     linear_controller,
     sampled_loop,
 )
@@ -240,10 +239,9 @@ def gain_margins(loop: SampledLoop) -> tuple[float, float]:
 def _real_at(loop: SampledLoop, angle: FloatArray) -> Iterator[float]:
     """L at z = -1, and at z = 1 unless an integrator makes that infinite."""
     yield loop.gain_at(math.pi).real
-    if np.abs(np.linalg.eigvals(loop.lumped.a) - 1.0).min() > OPEN_INTEGRATOR:
-        with suppress(np.linalg.LinAlgError):  # a double integrator: its eigenvalues are less exact
-            yield loop.gain_at(0.0).real
-            return
+    if not integrators(loop.lumped.a):
+        yield loop.gain_at(0.0).real
+        return
     lowest = loop.gain_at(float(angle[0]))  # L may not see the integrator
     if abs(lowest.imag) < abs(lowest.real) * SEEN:
         yield lowest.real
@@ -272,7 +270,7 @@ def noise_gain(loop: SampledLoop, answer: int) -> float:
     closed, h = loop.closed(), loop.h[answer] + loop.d[answer, 0] * loop.c
     heard = reaching(closed, h)
     balanced, scaling = linalg.matrix_balance(closed[np.ix_(heard, heard)], permute=False)
-    if (np.abs(np.linalg.eigvals(balanced)) > 1.0 - OPEN_INTEGRATOR).any():
+    if integrators(balanced) or (np.abs(np.linalg.eigvals(balanced)) >= 1.0).any():
         return math.inf
     scale = np.diag(scaling)
     noise, h = loop.b[heard, 0] / scale, h[heard] * scale

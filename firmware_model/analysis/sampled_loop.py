@@ -82,9 +82,20 @@ def lumped(
     return a[first] @ belongs, b[first], rows @ belongs
 
 
+def integrators(a: FloatArray) -> int:
+    """How many independent states of ``a`` (n, n), n ≥ 1, integrate: A - I is singular.
+
+    Their eigenvalues, 1, come with errors of 1e-6 where other poles are near; singular values come
+    with an error of the last digit.
+    """
+    sizes = np.linalg.svd(a - np.eye(len(a)), compute_uv=False)
+    return int(np.count_nonzero(sizes <= SINGULAR * np.linalg.norm(a, 2)))
+
+
 ANSWERS = ("command_1", "command_2", "fault_estimate")
 QUEUES = (("queue_1", "shown_ticks_1"), ("queue_2", "shown_ticks_2"))  # length in ticks
 OPEN_INTEGRATOR = 1e-7  # |z - 1| below which a pole is an integrator
+SINGULAR = 1e-14  # a singular value over the largest: 0 but for rounding
 Memory = tuple[tuple[str, ...], tuple[int, ...]]  # a path in the controller's state, an index
 
 
@@ -147,9 +158,10 @@ class SampledLoop:
         if reaches.all():
             return np.linalg.eigvals(a).astype(np.complex128)
         acting = np.linalg.eigvals(a[np.ix_(reaches, reaches)])
-        idle = np.linalg.eigvals(a[np.ix_(~reaches, ~reaches)])
-        idle = idle[np.abs(idle - 1.0) > OPEN_INTEGRATOR]
-        return np.concatenate([acting, idle]).astype(np.complex128)
+        rest = a[np.ix_(~reaches, ~reaches)]
+        idle = np.linalg.eigvals(rest)
+        nearest = np.argsort(np.abs(idle - 1.0))
+        return np.concatenate([acting, idle[nearest[integrators(rest) :]]]).astype(np.complex128)
 
     def spectral_radius(self) -> float:
         """Largest magnitude of a pole: what is left, or grown, of a disturbance a tick later."""

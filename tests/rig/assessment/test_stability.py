@@ -41,6 +41,20 @@ def test_the_shipped_scenarios_are_stable_and_run(name):
     refuse_unstable(scenario)
 
 
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("highway", ["design.compensation=off"]),
+        *((name, ["design.compensation=always"]) for name in ("default", "oversteering")),
+    ],
+)
+def test_an_integrator_among_slow_poles_is_left_open_all_the_same(name, settings):
+    """Its eigenvalue is up to 1.6e-6 off 1, more or less by the processor."""
+    lost = ["fault.kind=actuator-dead", "fault.channel=force-difference"]
+    settings += [] if name == "highway" else [*lost, "latency_ticks=0"]
+    assert check_stability(load(name, settings)).stable
+
+
 def test_json_has_the_figures_of_both_ends():
     done = succeeded("check", "thesis-step", "--json")
     values = json.loads(done.stdout)
