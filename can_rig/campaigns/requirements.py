@@ -4,16 +4,15 @@ Numbers, metrics, ``+ - * /``, comparisons, ``and``, ``or``, ``not``, parenthese
 A missing metric (no such moment in the run) makes dependent expressions unknown, as in Kleene's
 logic: ``false and unknown`` is false, ``true and unknown`` unknown.
 
-Each expression has a margin too: positive if the expression holds, larger for a safer run, and
-relative to the bound, so that margins of different units compare.
+The value of an expression is its margin: above zero if the expression holds, below zero if not,
+larger for a safer run, and in parts of the bound, so that margins of different units compare.
 """
 
 import ast
 import math
 import operator
 import sys
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, Final
 
 from can_rig.errors import ScenarioError
@@ -39,20 +38,8 @@ LONGEST: Final = 500
 """Limit on the characters of an expression; bounds the depth of nesting."""
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Result of a requirement in a run.
-
-    Attributes:
-        passed: None if the run lacks a necessary metric.
-        margin: above zero where it passed, in parts of the bound; None likewise.
-    """
-
-    passed: bool | None
-    margin: float | None
-
-
-UNKNOWN: Final = Verdict(None, None)
+Margin = float | None
+"""None if the run lacks a necessary metric."""
 
 
 class Requirement:
@@ -77,11 +64,11 @@ class Requirement:
             raise ScenarioError(
                 f"{self._where}: {unknown}: no such metric; there are {', '.join(sorted(known))}"
             )
-        self.of: Callable[[Values], Verdict] = self._truth(tree)
-        """The verdict on a run with the given values."""
+        self.of: Callable[[Values], Margin] = self._truth(tree)
+        """The margin of a run with the given values."""
 
-    def _truth(self, node: ast.expr) -> Callable[[Values], Verdict]:
-        """The verdict of a comparison, of a metric, or of truths joined by and, or, not."""
+    def _truth(self, node: ast.expr) -> Callable[[Values], Margin]:
+        """The margin of a comparison, of a metric, or of truths joined by and, or, not."""
         match node:
             case ast.BoolOp(op=op, values=parts):
                 truths = [self._truth(part) for part in parts]
@@ -96,7 +83,7 @@ class Requirement:
             ):
                 numbers = [self._number(part) for part in (left, *others)]
 
-                def compared(values: Values) -> Verdict:
+                def compared(values: Values) -> Margin:
                     found = [number(values) for number in numbers]
                     pairs = zip(ops, found, found[1:], strict=False)
                     return _all([_compared(op, one, other) for op, one, other in pairs])
@@ -104,7 +91,9 @@ class Requirement:
                 return compared
             case ast.Name() | ast.Constant(value=bool()):
                 number = self._number(node)
-                return lambda values: _verdict(number(values))
+                return lambda values: (
+                    None if (it := number(values)) is None else 1.0 if it else -1.0
+                )
         raise ScenarioError(
             f"{self._where}: {ast.unparse(node)}: must be a comparison, a metric, or such with "
             "and, or, not"
@@ -142,37 +131,25 @@ def _computed(
     return result if math.isfinite(result) else None
 
 
-def _verdict(value: float | None) -> Verdict:
-    return UNKNOWN if value is None else Verdict(bool(value), 1.0 if value else -1.0)
-
-
-def _compared(op: ast.cmpop, one: float | None, other: float | None) -> Verdict:
+def _compared(op: ast.cmpop, one: float | None, other: float | None) -> Margin:
     if one is None or other is None:
-        return UNKNOWN
-    passed = COMPARISONS[type(op)](one, other)
+        return None
     distance = abs(float(one) - float(other)) / (abs(float(other)) or 1.0)
     if distance == 0.0:  # the least number keeps the sign of a comparison at its bound
         distance = 1.0 if isinstance(op, ast.Eq | ast.NotEq) else sys.float_info.min
-    return Verdict(passed, distance if passed else -distance)
+    return distance if COMPARISONS[type(op)](one, other) else -distance
 
 
-def _not(verdict: Verdict) -> Verdict:
-    if verdict.passed is None or verdict.margin is None:
-        return UNKNOWN
-    return Verdict(not verdict.passed, -verdict.margin)
+def _not(margin: Margin) -> Margin:
+    return None if margin is None else -margin
 
 
-def _all(verdicts: list[Verdict]) -> Verdict:
+def _all(margins: list[Margin]) -> Margin:
     """Kleene's ``and``: false decides, unknown comes second."""
-    known = [verdict.margin for verdict in verdicts if verdict.margin is not None]
-    if any(verdict.passed is False for verdict in verdicts):
-        return Verdict(False, min(known))
-    if any(verdict.passed is None for verdict in verdicts):
-        return UNKNOWN
-    return Verdict(True, min(known))
+    least = least_of(margins)
+    return None if None in margins and (least is None or least > 0.0) else least
 
 
-def margin(verdicts: Collection[Verdict]) -> float | None:
+def least_of(margins: Iterable[Margin]) -> Margin:
     """The least margin; None if no requirement yields a margin."""
-    known: list[Any] = [each.margin for each in verdicts if each.margin is not None]
-    return min(known) if known else None
+    return min((margin for margin in margins if margin is not None), default=None)

@@ -7,63 +7,23 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import numpy as np
+
 from can_rig.campaigns.plan import Plan
-from can_rig.campaigns.requirements import Requirement, margin
+from can_rig.campaigns.requirements import Requirement, least_of
 from can_rig.campaigns.settings import SCENARIO, Scalar
 from can_rig.drawing.names import unit_of
 from can_rig.errors import RigError, ScenarioError, one_line
-from can_rig.results.metrics import metrics_of
+from can_rig.results.metrics import metrics, metrics_of
+from can_rig.results.signals import Signals
+from can_rig.scenario.settings import Scenario
 from can_rig.storage.files import atomic
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-METRICS: Final = (
-    "error_before_fault_mps2",
-    "error_peak_after_fault_mps2",
-    "error_peak_while_lost_mps2",
-    "error_settled_after_fault_mps2",
-    "error_integral_after_fault_mps",
-    "deviation_peak_after_fault_mps2",
-    "unavoidable_deviation_mps2",
-    "unavoidable_detection_delay_s",
-    "detection_over_unavoidable",
-    "deviation_over_unavoidable",
-    "deviation_settled_after_fault_mps2",
-    "fault_estimate_peak_before_fault_mps2",
-    "fault_estimate_peak_while_lost_mps2",
-    "fault_estimate_settled_mps2",
-    "suspected_after_s",
-    "detection_delay_s",
-    "missed_detection",
-    "suspicions",
-    "false_alarms",
-    "false_alarms_per_hour",
-    "torque_healthy_s",
-    "torque_peak_nm",
-    "torque_at_fault_nm",
-    "torque_peak_after_fault_nm",
-    "force_difference_peak_n",
-    "force_difference_settled_n",
-    "force_difference_noise_rms_n",
-    "force_difference_needed_n",
-    "force_difference_available_n",
-    "dstar_carried_mps2",
-    "deviation_peak_mps2",
-    "deviation_peak_uncompensated_mps2",
-    "deviation_over_uncompensated",
-    "astray_m",
-    "astray_uncompensated_m",
-    "torque_rms_nm",
-    "force_difference_unneeded_rms_n",
-    "force_difference_unneeded_peak_n",
-    "compensated_unneeded_s",
-    "place",
-    "verdict",
-    "right_place",
-    "wrong_place",
-)
-"""Metrics in the order of ``run.json``."""
+METRICS: Final = tuple(metrics(Scenario("none"), Signals(*np.empty((8, 0)))))
+"""Names in the order of ``run.json``, of a run without a tick."""
 
 TRUTHS: Final = {"missed_detection", "right_place", "wrong_place"}
 """Metrics with a truth value."""
@@ -259,19 +219,15 @@ def run_row(plan: Plan, required: list[Requirement], run: int, values: dict[str,
     try:
         scenario = base.scenario_with(changes)
         row["seed"] = scenario.seed
-        metrics = metrics_of(scenario)
+        found = metrics_of(scenario)
         row["simulated_s"] = scenario.ticks * scenario.tick_s
     except RigError as error:
         return {**row, "failure": one_line(error)}
-    except (
-        ArithmeticError,
-        AssertionError,
-        ValueError,
-        LookupError,
-        TypeError,
-    ) as error:  # a defect
-        return {**row, "failure": f"{type(error).__name__}: {one_line(error)}"}
-    verdicts = {each.name: each.of(metrics) for each in required}
-    passed = {f"passed.{name}": verdict.passed for name, verdict in verdicts.items()}
-    margins = {f"margin.{name}": verdict.margin for name, verdict in verdicts.items()}
-    return {**row, **metrics, **passed, **margins, "margin": margin(list(verdicts.values()))}
+    except (ArithmeticError, AssertionError, ValueError, LookupError, TypeError) as error:
+        return {**row, "failure": f"{type(error).__name__}: {one_line(error)}"}  # a defect
+    margins = {each.name: each.of(found) for each in required}
+    row |= {**found, "margin": least_of(margins.values())}
+    for name, margin in margins.items():
+        row[f"margin.{name}"] = margin
+        row[f"passed.{name}"] = None if margin is None else margin > 0.0
+    return row
