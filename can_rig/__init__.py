@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from can_rig.api import (
         Campaign,
-        Comparison,
-        RecordedRun,
         ReplayedDrive,
         campaign,
         check,
@@ -27,6 +25,8 @@ if TYPE_CHECKING:
         tune,
         verify,
     )
+    from can_rig.views.controllers_compared import Comparison
+    from can_rig.views.recorded_run import RecordedRun
 
 __all__ = [
     "Campaign",

@@ -59,28 +59,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Campaign",
-    "Comparison",
-    "RecordedRun",
-    "ReplayedDrive",
-    "Scenario",
-    "campaign",
-    "check",
-    "compare",
-    "decode",
-    "diff",
-    "load",
-    "load_scenario",
-    "plot",
-    "replay",
-    "run",
-    "save_scenario",
-    "stats",
-    "tune",
-    "verify",
-]
-
 
 @in_python
 def load_scenario(
