@@ -73,63 +73,37 @@ class _Cluster:
             raise WorkersLostError(f"--scheduler {self._scheduler}: went away") from None
 
     def _computed(self, tasks: Iterable[Task]) -> Done:
-        from distributed import KilledWorker  # noqa: PLC0415 (an extra)
+        from distributed import KilledWorker, wait  # noqa: PLC0415 (an extra)
 
         todo, deaths = Todo(tasks), 0
         running: dict[Any, Task] = {}
         while todo or running:
-            while len(running) < self._wanted() and todo:
+            while len(running) < AHEAD * max(1, self._threads) and todo:
                 task = todo.take()
                 running[self._submit(task)] = task
-            future = self._completed(running)
-            task = running.pop(future)
             try:
-                rows = self._result(future)
+                with self._client.as_current():
+                    found = wait([*running], timeout=ABSENCE_S, return_when="FIRST_COMPLETED")
+                future = next(iter(found.done))
+                rows: list[Row] = future.result(ABSENCE_S)  # raises an exception of the task
+            except TimeoutError:
+                if not self._threads:
+                    raise WorkersLostError(
+                        f"--scheduler {self._scheduler}: all workers have gone, and none has come "
+                        f"back within {ABSENCE_S:g} s"
+                    ) from None
             except KilledWorker:
+                task = running.pop(future)
                 deaths = deaths_after(deaths, task)
                 todo.put_back([task])
             else:
                 deaths = 0
-                yield task, rows
+                yield running.pop(future), rows
 
-    def _completed(self, running: Iterable[Any]) -> Any:
-        """A completed future of ``running``."""
-        from distributed import wait  # noqa: PLC0415 (an extra)
-
-        while True:
-            try:
-                with self._client.as_current():
-                    found = wait(list(running), timeout=ABSENCE_S, return_when="FIRST_COMPLETED")
-                return next(iter(found.done))
-            except TimeoutError:
-                self._require_workers()
-
-    def _result(self, future: Any) -> list[Row]:
-        """The rows of a task; computed again if their worker has gone.
-
-        Raises:
-            RigError: see ``_require_workers``. An exception of the task is raised here.
-        """
-        while True:
-            try:
-                rows: list[Row] = future.result(ABSENCE_S)
-            except TimeoutError:
-                self._require_workers()
-            else:
-                return rows
-
-    def _require_workers(self) -> None:
-        """Go on waiting only where somebody may answer."""
-        if not self._client.nthreads():
-            raise WorkersLostError(
-                f"--scheduler {self._scheduler}: all workers have gone, and none has come back "
-                f"within {ABSENCE_S:g} s"
-            )
-
-    def _wanted(self) -> int:
-        """Number of tasks given out at once; workers come and go."""
-        threads: dict[str, int] = self._client.nthreads()
-        return AHEAD * max(1, sum(threads.values()))
+    @property
+    def _threads(self) -> int:
+        """Of all workers now, which come and go."""
+        return sum(self._client.nthreads().values())
 
     def _submit(self, task: Task) -> Any:
         self._asked += 1
