@@ -265,14 +265,8 @@ def _needed(scenario: Scenario) -> tuple[float, float]:
 @remembered(4)
 def _immediate(settings: PlantSettings, tick_s: float) -> SampledPlant:
     """The plant without dead times; a loss follows its actuator's dead time."""
-    torque, force = settings.torque_actuator, settings.force_difference_actuator
-    without = replace(
-        settings,
-        torque_actuator=replace(torque, dead_time_s=0.0),
-        force_difference_actuator=replace(force, dead_time_s=0.0),
-        sensor=replace(settings.sensor, dead_time_s=0.0),
-    )
-    return sample(continuous_plant(without), tick_s)
+    plant = continuous_plant(settings)
+    return sample(replace(plant, dead_times_s=(0.0, 0.0), sensor_dead_time_s=0.0), tick_s)
 
 
 @compiled

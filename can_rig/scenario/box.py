@@ -7,9 +7,10 @@ damping and steady gain. Channels with separate transfer functions vary separate
 ``speed_2``); channels with a shared state, and unstable modes, vary together (``speed``).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from operator import methodcaller
 from typing import Any, Final
 
 from pydantic import ValidationError
@@ -92,13 +93,13 @@ def in_box(
     values = {key: nominal[key] * (1.0 + share) for key, share in shares.items()}
     with plant_of_box("a plant of budget.box", "box"):
         car = with_values(settings, values)
-        return with_lags(car, 1.0 + lags) if lags else car
+        return with_actuators(car, methodcaller("slower", 1.0 + lags)) if lags else car
 
 
-def with_lags(settings: PlantSettings, factor: float) -> PlantSettings:
-    """``settings`` with actuators slower by ``factor``."""
+def with_actuators(settings: PlantSettings, changed: Callable[[Any], Any]) -> PlantSettings:
+    """``settings`` with both actuators ``changed``."""
     return replace(
         settings,
-        torque_actuator=settings.torque_actuator.slower(factor),
-        force_difference_actuator=settings.force_difference_actuator.slower(factor),
+        torque_actuator=changed(settings.torque_actuator),
+        force_difference_actuator=changed(settings.force_difference_actuator),
     )

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import product
+from operator import methodcaller
 
 import numpy as np
 
@@ -23,9 +24,9 @@ from can_rig.assessment.drives import Drives, Finding
 from can_rig.assessment.limitations import unavoidable
 from can_rig.drawing.names import names_of, with_unit
 from can_rig.errors import ScenarioError, did_you_mean
-from can_rig.scenario.box import plant_of_box, uncertain, with_lags, with_values
+from can_rig.scenario.box import plant_of_box, uncertain, with_actuators, with_values
 from can_rig.scenario.build import continuous_design, continuous_plant, slowness, target
-from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.plant_settings import ActuatorLag, PlantSettings
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import DesignSettings, Scenario
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, noise_gain, peak_sensitivity
@@ -132,7 +133,7 @@ def cars(nominal: PlantSettings, box: Mapping[str, Range], lag_share: float = 0.
         with plant_of_box(f"box: {label}", "--box or --box-set"):
             settings = with_values(nominal, values)
             if lags:
-                settings = with_lags(settings, corner[-1])
+                settings = with_actuators(settings, methodcaller("slower", corner[-1]))
                 label += f", lags × {corner[-1]:g}"
             found.append(Car(label, continuous_plant(settings), settings))
     return found
@@ -508,6 +509,10 @@ def box_refusal(
     if continuous_plant(scenario.model).integrates:
         stepped = scenario  # at rest no command would show the loss
     drives = Drives(stepped)
+
+    def delayed(each: ActuatorLag) -> ActuatorLag:
+        return replace(each, dead_time_s=each.dead_time_s + spare_ticks * scenario.tick_s)
+
     for car in cars:
         plant = with_sensor_and_limits(car.settings, scenario.plant)
         found = _finding(drives, plant)
@@ -516,7 +521,7 @@ def box_refusal(
         if found is not None:
             return _limit_at_fault(stepped, plant), car
         if spare_ticks > 0:
-            late = _finding(drives, _late(plant, spare_ticks * scenario.tick_s))
+            late = _finding(drives, with_actuators(plant, delayed))
             if late is not None and not late.false_alarm:
                 return Refusal.REST_SPARE, car
     return None
@@ -559,13 +564,3 @@ def _limit_at_fault(scenario: Scenario, plant: PlantSettings) -> Refusal:
         if _finding(drives, plant) is None:
             return reason
     return Refusal.REST
-
-
-def _late(plant: PlantSettings, delay_s: float) -> PlantSettings:
-    """``plant`` with actuators delayed further by ``delay_s``."""
-    torque, force = plant.torque_actuator, plant.force_difference_actuator
-    return replace(
-        plant,
-        torque_actuator=replace(torque, dead_time_s=torque.dead_time_s + delay_s),
-        force_difference_actuator=replace(force, dead_time_s=force.dead_time_s + delay_s),
-    )
