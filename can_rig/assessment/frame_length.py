@@ -19,6 +19,7 @@ A remote frame counts as a classic frame with s = 0. The intermission of 3 bits 
 """
 
 from fractions import Fraction
+from functools import cache
 from typing import Final, NamedTuple
 
 from can_rig.errors import RigError
@@ -80,6 +81,7 @@ class FrameBits(NamedTuple):
         return duration
 
 
+@cache
 def worst_case_bits(
     length: int,
     *,

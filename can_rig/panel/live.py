@@ -226,7 +226,6 @@ class LiveSignals:
         self._heard_s: dict[str, float] = {}
         self.last_heard: str | None = None
         """The node with the newest frame; None before the first frame."""
-        self._bits: dict[tuple[bool, bool, int], int] = {}
         self._looked_s = time.monotonic()
         self.frames = frames or Frames(identifiers.state)
         self.lamps = Lamps()
@@ -245,7 +244,7 @@ class LiveSignals:
             self._hear_state(self.frames.news.popleft())
         for message in self.frames.in_order():
             if message.arbitration_id not in self._operator_ids:
-                bits += self._length(message)
+                bits += _length(message)
             self._take(message, now_s)
             self._heard.append((max(self._rows.tick, 0) * self._scenario.tick_s, message))
         first = self._rows.first_tick
@@ -365,17 +364,6 @@ class LiveSignals:
         said: list[float] = evidence.tolist()
         return said
 
-    def _length(self, message: can.Message) -> int:
-        """Bits of a frame at worst, until the next can start."""
-        kind = message.is_extended_id, message.is_fd, message.dlc
-        if kind not in self._bits:
-            try:
-                bits = worst_case_bits(message.dlc, extended=kind[0], fd=kind[1]).on_the_bus
-            except FrameError:
-                bits = 0
-            self._bits[kind] = bits
-        return self._bits[kind]
-
     def _note(self, rows: FloatArray, bits: int, now_s: float) -> None:
         """Update the lamps from these rows."""
         lamps, state, tick_s = self.lamps, self.state, self._scenario.tick_s
@@ -426,3 +414,12 @@ class LiveSignals:
         """Over about ten updates."""
         before = getattr(self.lamps, name)
         setattr(self.lamps, name, value if not before else before + 0.1 * (value - before))
+
+
+def _length(message: can.Message) -> int:
+    """Bits of a frame at worst, until the next can start."""
+    try:
+        bits = worst_case_bits(message.dlc, extended=message.is_extended_id, fd=message.is_fd)
+    except FrameError:
+        return 0
+    return bits.on_the_bus

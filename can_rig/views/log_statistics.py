@@ -127,7 +127,6 @@ class LogStatistics:
 
     def __init__(self, bitrate: int, data_bitrate: int) -> None:
         self._bit_rates = bitrate, data_bitrate
-        self._durations: dict[tuple[int, int], float] = {}
         self.duration_s(FD | BITRATE_SWITCH, 0)
         self.frames = self.error_frames = 0
         self.first_ns: int | None = None
@@ -189,18 +188,15 @@ class LogStatistics:
 
     def duration_s(self, flags: int, length: int) -> float:
         """How long a frame takes at most [s], with as many stuff bits as it can have."""
-        kind = flags & (EXTENDED | REMOTE | FD | BITRATE_SWITCH)
-        if (kind, length) not in self._durations:
-            fd = bool(kind & FD)
-            bits = worst_case_bits(
-                dlc2len(len2dlc(length)) if fd else min(length, CLASSIC_BYTES),
-                extended=bool(kind & EXTENDED),
-                remote=bool(kind & REMOTE),
-                fd=fd,
-                brs=bool(kind & BITRATE_SWITCH),
-            )
-            self._durations[kind, length] = float(bits.duration_s(*self._bit_rates))
-        return self._durations[kind, length]
+        fd = bool(flags & FD)
+        bits = worst_case_bits(
+            dlc2len(len2dlc(length)) if fd else min(length, CLASSIC_BYTES),
+            extended=bool(flags & EXTENDED),
+            remote=bool(flags & REMOTE),
+            fd=fd,
+            brs=bool(flags & BITRATE_SWITCH),
+        )
+        return float(bits.duration_s(*self._bit_rates))
 
     def _add_load(self, frames: Frames) -> None:
         assert self.first_ns is not None
