@@ -1,18 +1,17 @@
 """``can-rig diff``: the differences of two runs as a table, a picture and an exit status."""
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
-from rich.table import Table
 
 from can_rig.cli.options import force_option, json_option, out_option, window_options
-from can_rig.cli.output import json_line, note, table, wide
+from can_rig.cli.output import WIDE, json_line, note, say, show, table
 from can_rig.logs.frames import window_of
 from can_rig.scenario.loading import read
 from can_rig.storage.files import atomic, refuse_picture
-from can_rig.views.diff import Difference, SettingDifference, compare, tolerances_of, written
+from can_rig.views.diff import Difference, compare, tolerances_of, written
 from can_rig.views.signal_table import SignalTable, read_part
 
 
@@ -99,20 +98,11 @@ def print_difference(difference: Difference, labels: tuple[str, str], a: SignalT
         if signal.beyond:
             row += [_number(signal.first_a), _number(signal.first_b)]
         signals.add_row(*row)
-    console = wide()
-    console.print(signals)
-    if difference.settings:
-        console.print(_settings_table(difference.settings, labels))
-    for line in _lines(difference, labels):
-        console.print(line, markup=False)
-
-
-def _settings_table(settings: Sequence[SettingDifference], labels: tuple[str, str]) -> Table:
-    """A table of the settings in which the two runs differ."""
-    rows = table("setting", *labels)
-    for setting in settings:
-        rows.add_row(setting.key, written(setting.a), written(setting.b))
-    return rows
+    settings = table("setting", *labels)
+    for setting in difference.settings or ():
+        settings.add_row(setting.key, written(setting.a), written(setting.b))
+    show(signals, *([settings] if difference.settings else []), least=WIDE)
+    say(*_lines(difference, labels))
 
 
 def _lines(difference: Difference, labels: tuple[str, str]) -> Iterator[str]:

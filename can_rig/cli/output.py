@@ -22,8 +22,8 @@ from rich.table import Table
 if TYPE_CHECKING:  # NumPy and python-can are not needed to print
     from can_rig.logs.frames import Frames, Log
 
-WIDTH = 120
-"""Least characters of a line of a wide table, wherever it goes."""
+WIDE = 120
+"""Least characters of a line of a wide table."""
 
 
 def table(*headings: str, left: int = 1, title: str | None = None, no_wrap: bool = False) -> Table:
@@ -34,9 +34,12 @@ def table(*headings: str, left: int = 1, title: str | None = None, no_wrap: bool
     return made
 
 
-def show(what: Table) -> None:
-    """A table, as wide as the terminal."""
-    Console(emoji=False, markup=False).print(what)
+def show(*tables: Table, least: int = 0) -> None:
+    """Tables, as wide as the terminal; wherever they go, of ``least`` characters at least."""
+    console = Console(soft_wrap=least > 0, highlight=False, emoji=False, markup=False)
+    console.width = max(console.width, least)
+    for each in tables:
+        console.print(each)
 
 
 def show_beside(headings: tuple[str, ...], *rows: tuple[str, ...]) -> None:
@@ -65,13 +68,6 @@ def show_pairs(rows: list[tuple[str, str]]) -> None:
         else:
             say(*wrap(label, width, subsequent_indent="    "))
             say(*(f"{line:>{width}}" for line in wrap(value, width)))
-
-
-def wide() -> Console:
-    """Standard output for tables, with full column widths for terminals, files and pipes."""
-    console = Console(soft_wrap=True, highlight=False, emoji=False, markup=False)
-    console.width = max(console.width, WIDTH)
-    return console
 
 
 def say(*lines: str) -> None:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import click
-from rich.console import Console
 from rich.table import Table
 
 from can_rig.buses.bus import open_bus
@@ -27,7 +26,7 @@ from can_rig.cli.options import (
     set_option,
     window_options,
 )
-from can_rig.cli.output import counting, json_line, note, reading, say, table, tell, wide
+from can_rig.cli.output import WIDE, counting, json_line, note, reading, say, show, table, tell
 from can_rig.cli.run import closing_table
 from can_rig.errors import INTERRUPTED, LogError
 from can_rig.logs.frames import ALL, NS_PER_S, Frames, Window, window_of
@@ -283,8 +282,6 @@ def _recorded_drive(
             notice=source.log.notice,
         )
         return
-    console = wide()
-    console.width = max(console.width, 170)  # names of signals are long
     headings = ("role", "signal", "bus", "unit", "samples", "period", "gaps", "least", "largest")
     rows = table(*headings, left=4, no_wrap=True)
     for each in summary["signals"]:
@@ -297,11 +294,8 @@ def _recorded_drive(
             *(each[key] for key in ("role", "signal", "bus", "unit")),
             str(counts[0]), period, str(counts[1]), *ends,
         )  # fmt: skip
-    console.print(rows)
-    for line in _of_drive(summary):
-        console.print(line, markup=False)
-    for path in outs:
-        console.print(f"written  {path}", markup=False)
+    show(rows, least=170)  # names of signals are long
+    say(*_of_drive(summary), *(f"written  {path}" for path in outs))
     note(source.log.notice, *replayed.notes())
 
 
@@ -378,15 +372,12 @@ def _counts(loop: OpenLoop) -> dict[str, dict[str, int]]:
 
 def _print_comparison(source: Source, loop: OpenLoop, listed: list[Gap], gaps: Path | None) -> None:
     """Print tables of signals and gaps, and a verdict; the file ``gaps`` lists every gap."""
-    console = wide()
-    console.print(_signal_table(loop.comparison.signals))
+    show(_signal_table(loop.comparison.signals), least=WIDE)
     if loop.account.counts:
-        console.print()
-        console.print(_count_table(loop))
-        _list(console, listed, gaps)
-    console.print()
-    for line in _verdict(loop):
-        console.print(line, markup=False)
+        say("")
+        show(_count_table(loop), least=WIDE)
+        _list(listed, gaps)
+    say("", *_verdict(loop))
     note(source.log.notice)
 
 
@@ -422,8 +413,8 @@ def _count_table(loop: OpenLoop) -> Table:
     return rows
 
 
-def _list(console: Console, listed: list[Gap], gaps: Path | None) -> None:
-    console.print()
+def _list(listed: list[Gap], gaps: Path | None) -> None:
+    say("")
     rows = table("tick", "at s", "message", "what", no_wrap=True)
     rows.columns[0].justify = "right"
     for column in rows.columns[2:]:
@@ -432,11 +423,11 @@ def _list(console: Console, listed: list[Gap], gaps: Path | None) -> None:
         tick = str(gap.tick) if gap.ticks == 1 else f"{gap.tick}..{gap.tick + gap.ticks - 1}"
         what = f"{gap.what}: {gap.detail}" if gap.detail else gap.what
         rows.add_row(tick, seconds(gap.time_ns), gap.message, what)
-    console.print(rows)
+    show(rows, least=WIDE)
     if gaps is not None:
-        console.print(f"all of them in {gaps}", markup=False)
+        say(f"all of them in {gaps}")
     elif len(listed) > _SHOWN:
-        console.print("…, and more: --gaps FILE.csv lists all", markup=False)
+        say("…, and more: --gaps FILE.csv lists all")
 
 
 def _verdict(loop: OpenLoop) -> Iterator[str]:

@@ -9,7 +9,7 @@ import click
 from can_rig.assessment.frame_length import FrameError
 from can_rig.cli.decoding import Asked, decoding_options, hint
 from can_rig.cli.options import force_option, json_option
-from can_rig.cli.output import json_line, note, say, table, wide
+from can_rig.cli.output import WIDE, json_line, note, say, show, table
 from can_rig.decoding.decode import Decoder
 from can_rig.storage.files import atomic, refuse_picture
 from can_rig.views.log_statistics import LogStatistics
@@ -123,7 +123,7 @@ def _print(result: dict[str, Any]) -> None:
             f"{row['gaps']}",
             f"{low}" if low == high else f"{low}..{high}",
         )
-    wide().print(shown)
+    show(shown, least=WIDE)
     say(*_lines(result))
 
 
