@@ -34,7 +34,7 @@ from can_rig.campaigns.statistics import (
 )
 from can_rig.drawing import style
 from can_rig.drawing.html import Code, page, table
-from can_rig.drawing.names import CAR, Names, in_words, names_of
+from can_rig.drawing.names import Names, in_words, metric_in_words, names_of
 from can_rig.storage.files import atomic
 
 MOST_METRICS: Final = 4
@@ -235,13 +235,7 @@ def label_of_key(key: str) -> str:
 
 def label_of(metric: str, names: Names) -> str:
     """A metric in words, with the names and units of the plant's own signals."""
-    output, command_1, command_2 = names
-    integral = "m/s" if output.unit == CAR.output.unit else f"{output.unit} s".strip()
-    own = {"m/s²": output.unit, "m/s": integral, "N m": command_1.unit, "N": command_2.unit}
-    words, unit = in_words(metric)
-    unit = own.get(unit, unit)
-    for signal, its in (("torque", command_1), ("force difference", command_2), ("dstar", output)):
-        words = words.replace(signal, its.name if its not in CAR else signal)
+    words, unit = metric_in_words(metric, names)
     return fill(f"{words} in {unit}" if unit else words, LINE)
 
 

@@ -101,6 +101,17 @@ def in_words(column: str) -> tuple[str, str]:
     return " ".join(words), unit
 
 
+def metric_in_words(metric: str, names: Names) -> tuple[str, str]:
+    """The name of a metric and its unit, with the names and units of the plant's signals."""
+    words, unit = in_words(metric)
+    units = {of_car.unit: own.unit for of_car, own in zip(CAR, names, strict=True)}
+    if names.output.unit != CAR.output.unit:
+        units["m/s"] = f"{names.output.unit} s".lstrip()  # of an integral
+    own = {"dstar": names[0].name, "torque": names[1].name, "force difference": names[2].name}
+    words = re.sub("|".join(own), lambda found: own[found[0]], words)
+    return words, units.get(unit, unit)
+
+
 def unit_of(column: str) -> str:
     """The unit of a column by the suffix of its name; "" without a unit."""
     *before, last = column.split("_")
@@ -195,7 +206,7 @@ def _when(what: FaultSettings | DisturbanceSettings, every: str, end_s: float) -
     """The time of a fault or a disturbance."""
     when = f"{'at' if isinstance(what, FaultSettings) else 'from'} {what.at_s:g} s"
     if what.for_s is not None:
-        when = f"from {what.at_s:g} s to {what.at_s + what.for_s:g} s"
+        when = f"from {what.at_s:g} s to {what.end_s:g} s"
     return when + every + (", after the end of the run" if what.at_s >= end_s else "")
 
 

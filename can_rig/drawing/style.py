@@ -134,11 +134,10 @@ def shade(axis: Axes, fault: FaultSettings | DisturbanceSettings) -> float | Non
     """
     color = SHADE if isinstance(fault, FaultSettings) else SKY
     low, high = axis.get_xlim()
-    end_s = high if fault.for_s is None else fault.at_s + fault.for_s
-    if not (fault.at_s < high and end_s > low):
+    if not (fault.at_s < high and fault.end_s > low):
         return None
     start_s = max(low, fault.at_s)
-    axis.axvspan(start_s, min(high, end_s), color=color, lw=0, zorder=0)
+    axis.axvspan(start_s, min(high, fault.end_s), color=color, lw=0, zorder=0)
     axis.axvline(start_s, color=INK, lw=0.8, zorder=1)
     return start_s
 

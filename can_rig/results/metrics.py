@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.limitations import Unavoidable, can_be_told, control_authority, unavoidable
-from can_rig.drawing.names import fault_in_words, names_of, with_unit
+from can_rig.drawing.names import fault_in_words, metric_in_words, names_of, with_unit
 from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.results.counterfactual import (
     deviation_from,
@@ -199,23 +199,16 @@ def _integral(values: FloatArray, tick_s: float) -> float | None:
 
 def rows(values: Metrics, plant: PlantSettings) -> list[tuple[str, str]]:
     """The closing table, label and text: the metrics with a meaning in this run."""
-    signals = names_of(plant)
-    names = {key: signal.name for key, signal in signals._asdict().items()}
-    output = signals.output.unit
-    units = {
-        "y": output,
-        "y.s": f"{output} s".lstrip(),
-        "u1": signals.command_1.unit,
-        "u2": signals.command_2.unit,
-    }
+    names = names_of(plant)
+    own = {key: signal.name for key, signal in names._asdict().items()}
     faulted = values.get("deviation_peak_after_fault_mps2") is not None
     out: list[tuple[str, str]] = []
-    for key, label, healthy_label, unit in _TABLE:
+    for key, label, healthy_label in _TABLE:
         value = values.get(key)
         text = label if faulted else healthy_label
         if isinstance(value, int | float) and text:
-            number = f"{value:.4g} {units.get(unit, unit)}".rstrip()
-            out.append((text.format(**names), number))
+            unit = "x" if key.endswith("_over_unavoidable") else metric_in_words(key, names)[1]
+            out.append((text.format(**own), with_unit(f"{value:.4g}", unit)))
         elif key == "detection_delay_s" and values.get("missed_detection") is not None:
             found = "compensated without a confirmation"  # as an echo tells
             if values.get("false_alarms") != 0:
@@ -246,33 +239,31 @@ def _end(time_ns: FloatArray, part: Mask, wanted_s: float) -> Mask:
     return end
 
 
-#: key, label with a fault, label without (empty: no row), unit
+#: key, label with a fault, label without (empty: no row)
 _TABLE = (
-    ("error_before_fault_mps2", "|error| before the fault, settled", "|error|, settled", "y"),
-    ("error_peak_after_fault_mps2", "|error| after the fault, peak", "", "y"),
-    ("error_settled_after_fault_mps2", "|error| after the fault, settled", "", "y"),
-    ("deviation_peak_after_fault_mps2", "deviation from the fault-free run, peak", "", "y"),
-    ("deviation_over_unavoidable", "    times the least possible", "", "x"),
-    ("deviation_peak_uncompensated_mps2", "    without compensation", "", "y"),
-    ("error_integral_after_fault_mps", "|error| after the fault, integral", "", "y.s"),
-    ("detection_delay_s", "loss confirmed after", "", "s"),
-    ("false_alarms_per_hour", "false alarms", "false alarms", "1/h"),
+    ("error_before_fault_mps2", "|error| before the fault, settled", "|error|, settled"),
+    ("error_peak_after_fault_mps2", "|error| after the fault, peak", ""),
+    ("error_settled_after_fault_mps2", "|error| after the fault, settled", ""),
+    ("deviation_peak_after_fault_mps2", "deviation from the fault-free run, peak", ""),
+    ("deviation_over_unavoidable", "    times the least possible", ""),
+    ("deviation_peak_uncompensated_mps2", "    without compensation", ""),
+    ("error_integral_after_fault_mps", "|error| after the fault, integral", ""),
+    ("detection_delay_s", "loss confirmed after", ""),
+    ("false_alarms_per_hour", "false alarms", "false alarms"),
     (
         "fault_estimate_peak_before_fault_mps2",
         "|fault estimate| while healthy, peak",
         "|fault estimate|, peak",
-        "y",
     ),
-    ("torque_peak_nm", "|{command_1}|, peak", "|{command_1}|, peak", "u1"),
-    ("force_difference_peak_n", "|{command_2}|, peak", "|{command_2}|, peak", "u2"),
+    ("torque_peak_nm", "|{command_1}|, peak", "|{command_1}|, peak"),
+    ("force_difference_peak_n", "|{command_2}|, peak", "|{command_2}|, peak"),
     (
         "force_difference_noise_rms_n",
         "|{command_2}|, rms from noise",
         "|{command_2}|, rms from noise",
-        "u2",
     ),
-    ("force_difference_settled_n", "|{command_2}|, settled", "|{command_2}|, settled", "u2"),
-    ("dstar_carried_mps2", "|{output}| held by the {command_2} alone", "", "y"),
+    ("force_difference_settled_n", "|{command_2}|, settled", "|{command_2}|, settled"),
+    ("dstar_carried_mps2", "|{output}| held by the {command_2} alone", ""),
 )
 
 

@@ -193,7 +193,7 @@ def dead_of(scenario: Scenario) -> list[dict[str, Any]]:
         {
             "place": fault.place,
             "begin": fault.at_s,
-            "end": None if fault.for_s is None else fault.at_s + fault.for_s,
+            "end": fault.for_s and fault.end_s,
             "words": fault_label(fault, names),
         }
         for fault in scenario.faults

@@ -9,7 +9,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from can_rig.scenario.fault_settings import FOR_GOOD_NS, MAX_DURATION_S, Moment
+from can_rig.scenario.fault_settings import MAX_DURATION_S, Moment, Spell
 from can_rig.scenario.plant_settings import STRICT
 
 DisturbanceKind = Literal["none", "gust", "turbulence", "bank", "friction", "steering-kick", "push"]
@@ -35,7 +35,7 @@ Friction = Annotated[float, Field(ge=0.01, le=2.0)]
 
 
 @dataclass(frozen=True, config=STRICT)
-class DisturbanceSettings:
+class DisturbanceSettings(Spell):
     """One disturbance from ``at_s`` on, endless or for ``for_s`` seconds.
 
     It rises and falls within ``ramp_s``, in a straight line or as half a cosine. All keys from
@@ -96,14 +96,6 @@ class DisturbanceSettings:
             return RAMP_S
         half = 0.5 * self.for_s
         return half if self.shape == "one-minus-cosine" else min(RAMP_S, half)
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Begin and end; whole nanoseconds, so that rounding never shifts a tick."""
-        begin_ns = round(self.at_s * 1e9)
-        if self.for_s is None:
-            return begin_ns, FOR_GOOD_NS
-        return begin_ns, begin_ns + round(self.for_s * 1e9)
 
 
 OWN_KEYS: Final = tuple(field.name for field in fields(DisturbanceSettings))[5:]

@@ -4,6 +4,7 @@ The first word of a kind names the place: an actuator, a sensor, or a frame in t
 has any number of faults; faults may overlap.
 """
 
+import math
 from collections.abc import Iterable
 from typing import Annotated, Final, Literal, get_args
 
@@ -101,8 +102,29 @@ def key_of(kind: str, place: str) -> str:
     return NUMBER.get(kind, "")
 
 
+class Spell:
+    """The kind and the time of a fault or a disturbance."""
+
+    kind: str
+    at_s: float
+    for_s: float | None
+
+    @property
+    def end_s(self) -> float:
+        """Infinite for an endless one."""
+        return math.inf if self.for_s is None else self.at_s + self.for_s
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Begin and end; whole nanoseconds, so that rounding never shifts a tick."""
+        begin_ns = round(self.at_s * 1e9)
+        if self.for_s is None:
+            return begin_ns, FOR_GOOD_NS
+        return begin_ns, begin_ns + round(self.for_s * 1e9)
+
+
 @dataclass(frozen=True, config=STRICT)
-class FaultSettings:
+class FaultSettings(Spell):
     """One fault from ``at_s`` on, endless or for ``for_s`` seconds, at every ``every``-th tick.
 
     ``channel`` names the actuator, the further sensor, or the sender of the frames. ``value``,
@@ -198,13 +220,8 @@ class FaultSettings:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Begin and end; whole nanoseconds, so that rounding never shifts a tick."""
-        if self.kind == "none":
-            return FOR_GOOD_NS, FOR_GOOD_NS
-        begin_ns = round(self.at_s * 1e9)
-        if self.for_s is None:
-            return begin_ns, FOR_GOOD_NS
-        return begin_ns, begin_ns + round(self.for_s * 1e9)
+        """See ``Spell``; of no fault after any run."""
+        return (FOR_GOOD_NS, FOR_GOOD_NS) if self.kind == "none" else super().span_ns
 
     def span_ticks(self, tick_ns: int) -> tuple[int, int]:
         """The first tick of the fault, and the first tick after the fault."""

@@ -26,6 +26,7 @@ from can_rig.scenario.fault_settings import (
     FaultSettings,
     Moment,
     Outage,
+    Spell,
     outages,
 )
 from can_rig.scenario.log_signals import OF_A_CAR, OF_SENSORS, Role
@@ -520,7 +521,7 @@ class Scenario:
     @property
     def never(self) -> list[str]:
         """The faults and disturbances after the end of the run, a line each."""
-        listed: list[tuple[str, FaultSettings | DisturbanceSettings]] = [
+        listed: list[tuple[str, Spell]] = [
             *(("fault", fault) for fault in self.faults),
             *(("disturbance", each) for each in self.disturbances),
         ]

@@ -148,16 +148,13 @@ def _phases(scenario: Scenario) -> list[tuple[float, tuple[float, float]]]:
                 f"fault.kind = {fault.kind!r}: must be actuator-dead at every tick for the "
                 "continuous loop, which has neither frames nor ticks"
             )
-    spans = [
-        (fault.at_s, math.inf if fault.for_s is None else fault.at_s + fault.for_s, fault)
-        for fault in scenario.faults
-    ]
-    starts = sorted({0.0, *(at_s for begin, end, _ in spans for at_s in (begin, end))} - {math.inf})
+    faults = scenario.faults
+    starts = sorted({0.0, *(s for each in faults for s in (each.at_s, each.end_s))} - {math.inf})
     phases = []
     for start_s in starts:
         left = [1.0, 1.0]
-        for begin_s, end_s, fault in spans:
-            if begin_s <= start_s < end_s:
+        for fault in faults:
+            if fault.at_s <= start_s < fault.end_s:
                 left[CHANNELS.index(fault.place)] *= fault.left
         phases.append((start_s, (left[0], left[1])))
     return phases

@@ -10,7 +10,7 @@ import numpy as np
 from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.decoding.trace import PROTECTION, Collected, Kinds
 from can_rig.drawing import bench
-from can_rig.drawing.bench import Chart, Curve, Recording, on_one_axis, recorded
+from can_rig.drawing.bench import Chart, Curve, Recording, at_times, on_one_axis, recorded
 from can_rig.drawing.html import page
 from can_rig.drawing.names import names_of, printed
 from can_rig.frames import operator_frames
@@ -25,7 +25,6 @@ from can_rig.scenario.build import dbc_of
 from can_rig.scenario.settings import Scenario
 from can_rig.views.pictures import curve as curve_of
 from can_rig.views.signal_table import table_of
-from firmware_model.law.structs import FloatArray
 
 AT_FIRST: Final = 4
 """Charts of a log at the beginning."""
@@ -98,21 +97,15 @@ def overlaid(a: Recording, b: Recording) -> Recording:
     A signal that ``a`` lacks, or has with another name or unit, becomes a curve of its own.
     """
     time_s = np.union1d(a.time_s, b.time_s)
-
-    def at_common_times(of: Recording, values: FloatArray) -> FloatArray:
-        column = np.full(len(time_s), np.nan)
-        column[np.searchsorted(time_s, of.time_s)] = values
-        return column
-
     said = {(curve.key, curve.label, curve.unit) for curve, _ in a.curves}
     both = {curve.key for curve, _ in b.curves if (curve.key, curve.label, curve.unit) in said}
     curves = []
     for curve, values in a.curves:
         beside = f"b:{curve.key}" if curve.key in both else ""
-        curves.append((replace(curve, beside=beside), at_common_times(a, values)))
+        curves.append((replace(curve, beside=beside), at_times(time_s, a.time_s, values)))
     for curve, values in b.curves:
         look = replace(curve, key=f"b:{curve.key}", label=f"B: {curve.label}", dash=DOTTED)
-        curves.append((look, at_common_times(b, values)))
+        curves.append((look, at_times(time_s, b.time_s, values)))
     charts = [
         replace(chart, keys=(*chart.keys, *(f"b:{key}" for key in chart.keys if key in both)))
         for chart in a.charts
@@ -145,16 +138,14 @@ def _two_cars(a: dict[str, Any] | None, b: dict[str, Any] | None) -> dict[str, A
 
 def page_of(title: str, of: Recording) -> str:
     """The page, in HTML."""
-    canvas, *parts = recorded(of)
-    scripts = parts[-1 - len(bench.SCRIPTS) :]
-    view = "".join([canvas, *parts[: -1 - len(scripts)]])
+    canvas, charts, events, *scripts = recorded(of)
     return page(
         title,
         [
             f"<h1>{html.escape(title)}</h1>",
             '<nav id="list" aria-label="signals"></nav>',
-            f'<section id="view">{view}</section>',
-            f'<section id="events">{parts[-1 - len(scripts)]}</section>',
+            f'<section id="view">{canvas}{charts}</section>',
+            f'<section id="events">{events}</section>',
             *scripts,
         ],
         bench.text("view.css"),

@@ -164,7 +164,7 @@ def on_one_axis(
         every = np.unique(np.concatenate([time_s for time_s, _ in curves]))
         told_apart = all(len(np.unique(time_s)) == len(time_s) for time_s, _ in curves)
         if len(every) <= MOST_POINTS and told_apart:
-            return every, [_at_times(every, *curve) for curve in curves]
+            return every, [at_times(every, *curve) for curve in curves]
     begin = min(float(time_s.min()) for time_s, _ in curves)
     end = max(float(time_s.max()) for time_s, _ in curves)
     parts = min(MOST_POINTS // 2, sum(lengths))
@@ -175,7 +175,7 @@ def on_one_axis(
     return times[known], [column[known] for column in columns]
 
 
-def _at_times(every_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
+def at_times(every_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
     """The values at their times, which ``every_s`` (n,) contains; nan between."""
     column = np.full(len(every_s), np.nan)
     column[np.searchsorted(every_s, time_s)] = values

@@ -4,7 +4,6 @@ The page opens without network: uPlot, the numbers and the look are part of the 
 """
 
 import html
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
@@ -13,14 +12,7 @@ import numpy as np
 
 from can_rig.drawing.bench import Chart, Curve, Recording, recorded
 from can_rig.drawing.html import Code, page, table
-from can_rig.drawing.names import (
-    CAR,
-    Names,
-    disturbance_label,
-    fault_label,
-    in_words as parted,
-    names_of,
-)
+from can_rig.drawing.names import Names, disturbance_label, fault_label, metric_in_words, names_of
 from can_rig.drawing.style import FAR
 from can_rig.frames.network import Network
 from can_rig.logs.columns import SPEED, TRUE_OUTPUT, VERDICT
@@ -31,8 +23,7 @@ from can_rig.results.metrics import Metrics
 from can_rig.results.motion import scene
 from can_rig.results.report.page import apart, compared_with, counterpart, page_title
 from can_rig.results.signals import Signals
-from can_rig.scenario.disturbance_settings import DisturbanceSettings
-from can_rig.scenario.fault_settings import CHANNELS, FaultSettings
+from can_rig.scenario.fault_settings import CHANNELS, Spell
 from can_rig.scenario.settings import Scenario, leaves
 from can_rig.storage import paged
 from firmware_model.law.status import Verdict
@@ -111,7 +102,7 @@ def recording(scenario: Scenario, network: Network, signals: Signals) -> Recordi
         curves,
         charts,
         [
-            {"begin": each.at_s, "end": _end_of(each), "colour": colour}
+            {"begin": each.at_s, "end": each.for_s and each.end_s, "colour": colour}
             for colour, every in (("confirmed", scenario.faults), ("sky", scenario.disturbances))
             for each in every
         ],
@@ -119,10 +110,6 @@ def recording(scenario: Scenario, network: Network, signals: Signals) -> Recordi
         scene(scenario, signals),
         CHART_HEIGHT,
     )
-
-
-def _end_of(each: FaultSettings | DisturbanceSettings) -> float | None:
-    return None if each.for_s is None else each.at_s + each.for_s
 
 
 CHART_HEIGHT: Final = 150
@@ -141,15 +128,15 @@ def events(scenario: Scenario, network: Network, signals: Signals) -> list[Event
     names = names_of(scenario.plant)
     end_s = float(signals.time_s[-1]) + scenario.tick_s if len(signals) else 0.0
     found: list[Event] = []
-    from_outside: list[tuple[str, FaultSettings | DisturbanceSettings, str]] = [
+    from_outside: list[tuple[str, Spell, str]] = [
         *(("fault", each, fault_label(each, names)) for each in scenario.faults),
         *(("disturbance", each, disturbance_label(each)) for each in scenario.disturbances),
     ]
     for noun, each, label in from_outside:
         if each.at_s < end_s:
             found.append(Event(each.at_s, f"{noun} begins: {label}"))
-        if each.for_s is not None and each.at_s + each.for_s < end_s:
-            found.append(Event(each.at_s + each.for_s, f"{noun} ends: {label}"))
+        if each.end_s < end_s:
+            found.append(Event(each.end_s, f"{noun} ends: {label}"))
     found += _changes("mode", signals.time_s, signals.mode, in_small_letters(network.status.modes))
     states = in_small_letters(network.status.fault_states)
     found += _changes("fault state", signals.time_s, signals.fault_state, states)
@@ -221,16 +208,11 @@ def _in_units(
     values: Iterable[tuple[str, Any]], names: Names
 ) -> Iterator[tuple[str, Any, str, Code]]:
     """Name, value, unit of the plant, and key of each metric."""
-    own = {of_car.unit: signal.unit for of_car, signal in zip(CAR, names, strict=True)}
-    if names.output != CAR.output:
-        own["m/s"] = f"{names.output.unit} s".lstrip()  # of the integral of the error
-    its = {"dstar": names[0].name, "torque": names[1].name, "force difference": names[2].name}
     for key, value in values:
-        words, unit = parted(key)
-        words = re.sub("dstar|torque|force difference", lambda found: its[found[0]], words)
+        words, unit = metric_in_words(key, names)
         shown = in_words(Verdict[value], names) if key == "verdict" else _words(value)
         shown = names.at(value).name if key == "place" and value in CHANNELS else shown
-        yield words, shown, own.get(unit, unit), Code(key)
+        yield words, shown, unit, Code(key)
 
 
 def _words(value: Any) -> Any:

@@ -16,8 +16,8 @@ from tests.rig.campaigns.running import planned, ran
 OF_CAR = {
     "deviation_peak_after_fault_mps2": "deviation peak after fault in m/s²",
     "error_integral_after_fault_mps": "error integral after fault in m/s",
-    "torque_peak_nm": "torque peak in N m",
-    "force_difference_settled_n": "force difference settled in N",
+    "torque_peak_nm": "steering torque peak in N m",
+    "force_difference_settled_n": "rear force difference settled in N",
     "detection_delay_s": "detection delay in s",
     "false_alarms_per_hour": "false alarms in 1/h",
 }
