@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.controllers.making import PEER
 from can_rig.controllers.our_law import PYTHON
@@ -25,6 +24,7 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import RunOptions, run_controller, run_in_process, run_plant
 from can_rig.nodes.ticks import NodeSummary
 from can_rig.nodes.without_bus import run_without_bus
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from tests.processes import rig, start
 

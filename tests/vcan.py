@@ -10,11 +10,11 @@ from pathlib import Path
 import can
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import PYTHON
 from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.runner import RunOptions, run_controller, run_plant
 from can_rig.nodes.ticks import NodeSummary
+from can_rig.scenario.loading import load
 
 TIMEOUT_S = 120.0  # for what must come; the guest is slow, an import takes up to 20 s
 PATIENT = RunOptions(timeouts=Timeouts(first_s=TIMEOUT_S, silence_s=TIMEOUT_S), controller=PYTHON)

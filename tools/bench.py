@@ -20,7 +20,6 @@ import can
 from rich.console import Console
 from rich.table import Table
 
-from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_for_node
 from can_rig.buses.local.bus import LocalBus
 from can_rig.controllers.our_law import PYTHON
@@ -35,6 +34,7 @@ from can_rig.plant.frameless import frameless_loop, inputs_of, law_of
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controller_table
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 

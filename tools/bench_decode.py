@@ -26,7 +26,6 @@ from cantools.database.can import Database, Message
 from rich.console import Console
 from rich.table import Table
 
-from can_rig.assessment.resolve import load
 from can_rig.cli.output import counting
 from can_rig.controllers.our_law import PYTHON
 from can_rig.decoding.decode import decode_log
@@ -37,6 +36,7 @@ from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
+from can_rig.scenario.loading import load
 
 PAYLOADS = 16  # of each message
 TRIES = 100 * PAYLOADS  # for those payloads

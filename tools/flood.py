@@ -23,13 +23,13 @@ import can
 from rich.console import Console
 from rich.table import Table
 
-from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.controllers.our_law import PYTHON
 from can_rig.nodes.bus_access import OnTick, StopRequest
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.runner import RunOptions, run_in_process
 from can_rig.nodes.ticks import NodeSummary
+from can_rig.scenario.loading import load
 
 TAKEN_WITHIN_S = 10.0  # makes the local bus wait for the slowest listener
 SETTLE_S = 2.0  # before the flood, and for what still waits after it

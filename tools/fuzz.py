@@ -24,7 +24,6 @@ import numpy as np
 from cantools.database.can import Database
 from fuzz_mutations import damaged
 
-from can_rig.assessment.resolve import load
 from can_rig.decoding.decode import Decoder
 from can_rig.errors import RigError
 from can_rig.frames.databases import load_database
@@ -33,6 +32,7 @@ from can_rig.logs.reading import read_log
 from can_rig.replaying.replay import OpenLoop
 from can_rig.replaying.rig_frames import recorded
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from can_rig.views.log_statistics import LogStatistics
 

@@ -21,12 +21,12 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import StabilityCheck, check_stability
 from can_rig.errors import RigError
 from can_rig.plant.frameless import frameless
 from can_rig.scenario.build import continuous_plant, network_of, target
 from can_rig.scenario.controls import controller_table
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import LimitSettings, Scenario
 from firmware_model.law.structs import FloatArray
 

@@ -21,10 +21,10 @@ from latex2mathml.converter import convert
 from PIL import Image
 
 import can_rig
-from can_rig.assessment.resolve import load
 from can_rig.results.metrics import rows
 from can_rig.results.run_folder import PAGE, REPORT, SUMMARY
 from can_rig.scenario import shipped
+from can_rig.scenario.loading import load
 
 ROOT: Final = Path(__file__).parents[1]
 BUILD: Final = ROOT / "build" / "site"

@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any
 
 import tomli_w
 
-from can_rig.assessment import resolve
 from can_rig.assessment.speeds import check as check_speeds
 from can_rig.assessment.stability import StabilityCheck
 from can_rig.assessment.tuning.candidate import cars_of
@@ -44,6 +43,7 @@ from can_rig.replaying.estimator import Replayed, replay_drive, write
 from can_rig.replaying.replay import Comparison as OpenLoopComparison, OpenLoop
 from can_rig.replaying.rig_frames import recorded
 from can_rig.results.source import Source, log_path, source_of
+from can_rig.scenario import loading
 from can_rig.scenario.build import network_of
 from can_rig.scenario.from_python import kind_of, settings_of
 from can_rig.scenario.loading import Changes, written_by
@@ -80,8 +80,8 @@ def _scenario(name: str | Path | Scenario, settings: Sequence[str]) -> Scenario:
     if not isinstance(name, str | Path | Scenario):
         raise ScenarioError(f"scenario {name!r}: must be a name, a path or a Scenario")
     if isinstance(name, Scenario):
-        return resolve.load_run(name.as_dict(), settings) if settings else name
-    return resolve.load(str(name), settings)
+        return loading.load_run(name.as_dict(), settings) if settings else name
+    return loading.load(str(name), settings)
 
 
 @in_python
@@ -232,7 +232,7 @@ def plot(runs: Mapping[str, RecordedRun | str | Path], signals: Sequence[str]) -
 def _table(run: RecordedRun | str | Path) -> SignalTable:
     if isinstance(run, RecordedRun):
         return run.table
-    return read_table(_path("run", run), resolve.load("default"))
+    return read_table(_path("run", run), loading.load("default"))
 
 
 @in_python

@@ -1,4 +1,4 @@
-"""Checks before a run: stability, margins, tuning, bus timing.
+"""Checks before a run: stability, margins, tuning.
 
 Rooms above import `assessment`; the room imports `plant` and lower rooms.
 """

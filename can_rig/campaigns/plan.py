@@ -13,7 +13,6 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import qmc
 
-from can_rig.assessment.resolve import resolve
 from can_rig.campaigns.settings import (
     MOST_RUNS,
     SCENARIO,
@@ -59,7 +58,7 @@ class Base:
     @cached_property
     def scenario(self) -> Scenario:
         """The scenario with the campaign's settings, before any axis changes it."""
-        return resolve(self.file.with_changes(self._common, "").draft)
+        return self.file.with_changes(self._common, "").scenario
 
     @cached_property
     def values(self) -> dict[str, Any]:
@@ -152,7 +151,7 @@ class Base:
         Raises:
             ScenarioError: an unknown key, or an invalid value.
         """
-        return resolve(self._file_of_all.with_changes(as_settings(changes), "").draft)
+        return self._file_of_all.with_changes(as_settings(changes), "").scenario
 
     def command_with(self, changes: dict[str, Scalar]) -> str:
         """The command that repeats a run with these values, frames included."""
@@ -208,7 +207,7 @@ class Base:
         own = value_in(self.values, key)
         if not self.has(key):
             wrong = self.file.with_changes([*self._common, f"{key}=1"], "")
-            resolve(wrong.draft)  # the error lists valid keys
+            _ = wrong.scenario  # the error lists valid keys
         if isinstance(own, bool) or not isinstance(own, int | float) or own == 0.0:
             raise ScenarioError(
                 f"axes.{key}.share = {axis.share}: {key} = {own!r} "

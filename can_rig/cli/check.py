@@ -4,12 +4,12 @@ import sys
 
 import click
 
-from can_rig.assessment.resolve import load
 from can_rig.assessment.speeds import check
 from can_rig.assessment.stability import table_rows
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import car_bar, explain, json_line, say, show_beside
 from can_rig.scenario.driving import notes_of_drive
+from can_rig.scenario.loading import load
 
 
 @click.command("check")

@@ -7,12 +7,11 @@ from pathlib import Path
 import click
 from click.shell_completion import CompletionItem
 
-from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import finite_or_null
 from can_rig.cli.options import force_option, json_option, out_option, set_option
 from can_rig.cli.output import WIDE, counting, json_line, note, say, show, table
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import change
+from can_rig.scenario.loading import change, load
 from can_rig.storage.files import refuse_picture
 from can_rig.views.controllers_compared import CASES, Compared, compare, known_controllers
 

@@ -9,7 +9,7 @@ import click
 from can_rig.cli.options import force_option, json_option, out_option, window_options
 from can_rig.cli.output import WIDE, json_line, note, say, show, table
 from can_rig.logs.frames import window_of
-from can_rig.scenario.loading import read
+from can_rig.scenario.loading import load
 from can_rig.storage.files import atomic, refuse_picture
 from can_rig.views.diff import Difference, compare, tolerances_of, written
 from can_rig.views.signal_table import SignalTable, read_part
@@ -56,7 +56,7 @@ def command(
     if out is not None:
         refuse_picture(out, force)
     allowed = tolerances_of(tolerances)
-    scenario = read(scenario_name).scenario
+    scenario = load(scenario_name)
     window = window_of(from_s, to_s)
     a, b = (read_part(path, scenario, window) for path in (run_a, run_b))
     difference = compare(a, b, allowed)

@@ -7,7 +7,6 @@ from typing import Final, Literal, get_args
 
 import click
 
-from can_rig.assessment.resolve import load
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.settings import read_campaign
 from can_rig.cli.options import force_option, scenario_options
@@ -20,6 +19,7 @@ from can_rig.plant.car_fmu import car_model, write_inputs
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
 from can_rig.scenario.fault_settings import FaultKind, FaultSettings
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import fingerprint
 from firmware_model.law.structs import FloatArray, Precision

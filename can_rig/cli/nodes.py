@@ -9,7 +9,6 @@ from pathlib import Path
 
 import click
 
-from can_rig.assessment.resolve import load
 from can_rig.cli.options import (
     Function,
     above_zero,
@@ -31,6 +30,7 @@ from can_rig.nodes.realtime import timing
 from can_rig.nodes.recording import recorded_log
 from can_rig.nodes.runner import RunOptions, run_controller, run_plant
 from can_rig.nodes.ticks import NodeSummary
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 
 

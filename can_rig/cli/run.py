@@ -8,7 +8,6 @@ from pathlib import Path
 
 import click
 
-from can_rig.assessment.resolve import load
 from can_rig.cli.options import (
     bus_option,
     controller_option,
@@ -33,6 +32,7 @@ from can_rig.results.isolation import verdict_rows
 from can_rig.results.metrics import Metrics, fault_rows, rows
 from can_rig.results.run_folder import Outcome, log_of
 from can_rig.scenario.driving import notes_of_drive
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 
 

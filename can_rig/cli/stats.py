@@ -6,11 +6,11 @@ from typing import Any, Final
 
 import click
 
-from can_rig.assessment.frame_length import FrameError
 from can_rig.cli.decoding import Asked, decoding_options, hint
 from can_rig.cli.options import force_option, json_option
 from can_rig.cli.output import WIDE, json_line, note, say, show, table
 from can_rig.decoding.decode import Decoder
+from can_rig.frames.frame_length import FrameError
 from can_rig.storage.files import atomic, refuse_picture
 from can_rig.views.log_statistics import LogStatistics
 from can_rig.views.signal_table import scenario_of

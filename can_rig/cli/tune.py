@@ -5,12 +5,12 @@ from pathlib import Path
 
 import click
 
-from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.candidate import NoTuningError, cars_of, refusals_as_dict
 from can_rig.assessment.tuning.report import as_dict, headings, options, picture, rows, why
 from can_rig.assessment.tuning.search import Tunings, tune
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import json_line, progress, say, show, table
+from can_rig.scenario.loading import load
 from can_rig.storage.files import atomic, refuse_existing
 
 PICTURE = "tuning.png"

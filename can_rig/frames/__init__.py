@@ -1,4 +1,4 @@
-"""Records to frames and back through the DBC, with end-to-end protection.
+"""Records to frames and back through the DBC, end-to-end protection, the latest arrival of frames.
 
 It imports only `errors` and `firmware_model`; `scenario` and all rooms above may import `frames`.
 """

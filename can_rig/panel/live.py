@@ -12,13 +12,13 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.assessment.frame_length import FrameError, worst_case_bits
 from can_rig.controllers.protocol import Inputs
 from can_rig.drawing.names import names_of, printed, with_unit
 from can_rig.drawing.thinning import BUCKET_S, Decimator
 from can_rig.errors import one_line
 from can_rig.frames import operator_frames
 from can_rig.frames.codec import Receiver, ticks_ahead
+from can_rig.frames.frame_length import FrameError, worst_case_bits
 from can_rig.frames.network import Network
 from can_rig.logs.columns import EVIDENCE
 from can_rig.plant.faults.injection import injected

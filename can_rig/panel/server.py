@@ -19,10 +19,10 @@ from typing import Final
 
 from aiohttp import WSMsgType, web
 
-from can_rig.assessment.resolve import load
 from can_rig.errors import BusError, RigError, one_line
 from can_rig.panel.screen import Screen, Viewer
 from can_rig.panel.session import Session, new_bus
+from can_rig.scenario.loading import load
 
 TOKEN_BYTES: Final = 24
 NAMES: Final = ("127.0.0.1", "localhost")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from can_rig.assessment.resolve import load, load_run
 from can_rig.errors import LogError, ScenarioError
 from can_rig.frames.network import Network
 from can_rig.logs.frames import ALL, Frames, Log, Window
@@ -16,6 +15,7 @@ from can_rig.results.isolation import with_verdict
 from can_rig.results.run_folder import LOG, REFERENCE, log_of, recorded_scenario
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load, load_run
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 from can_rig.storage import paged
 from can_rig.storage.files import atomic

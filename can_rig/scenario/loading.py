@@ -1,8 +1,7 @@
 """TOML to a validated, frozen scenario: the only source of a run's defaults.
 
 ``settings`` declares the keys. Errors name the scenario and the key. A word may replace one number,
-``latency_ticks = "from-bus"``: a ``Draft`` keeps the word, and ``assessment.resolve`` computes the
-number from the rest of the scenario.
+``latency_ticks = "from-bus"``: the number is the worst case of the bus (``frames.bus_timing``).
 """
 
 from __future__ import annotations
@@ -21,8 +20,10 @@ from typing import Any, Final
 
 from pydantic import TypeAdapter, ValidationError
 
-from can_rig.errors import ScenarioError, did_you_mean
+from can_rig.errors import RigError, ScenarioError, did_you_mean
+from can_rig.frames.bus_timing import latency_ticks
 from can_rig.scenario import shipped
+from can_rig.scenario.build import network_of
 from can_rig.scenario.controller_settings import LIBRARY
 from can_rig.scenario.fault_settings import NUMBER, FaultSettings, key_of
 from can_rig.scenario.own_class import is_class_path, seen_from
@@ -225,17 +226,6 @@ _ADAPTER: Final = TypeAdapter(Scenario)
 
 
 @dataclass(frozen=True)
-class Draft:
-    """A scenario as written.
-
-    With ``latency_from_bus``, ``scenario.latency_ticks`` is the default in place of the word.
-    """
-
-    scenario: Scenario
-    latency_from_bus: bool = False
-
-
-@dataclass(frozen=True)
 class Written:
     """A scenario's file content.
 
@@ -261,29 +251,29 @@ class Written:
         return replace(self, values=values)
 
     @cached_property
-    def draft(self) -> Draft:
-        """The draft of the written keys.
+    def scenario(self) -> Scenario:
+        """The scenario of the written keys.
 
         Raises:
-            ScenarioError: an unknown key, a bad value.
+            ScenarioError: as ``load_values``.
         """
         if "name" in self.values:
             raise ScenarioError(
                 f"scenario {self.given}: name: unknown key; a scenario is named by its file"
             )
-        return draft(self.name, self.values)
+        return load_values(self.name, self.values)
 
 
-def read(name: str, settings: Iterable[str] = ()) -> Draft:
+def load(name: str, settings: Iterable[str] = ()) -> Scenario:
     """The scenario ``name``, shipped or a path to a TOML file, with ``KEY=VALUE`` changes.
 
     Raises:
-        ScenarioError: an unknown scenario, invalid TOML, an unknown key, a bad value.
+        ScenarioError: an unknown scenario, invalid TOML; as ``load_values``.
     """
     file = written(name)
     require_own_numbers(file.name, file.values.get(FAULT))
     file = file.with_changes(settings)
-    made = file.draft
+    made = file.scenario
     require_kinds(file.name, file.values)
     return made
 
@@ -335,14 +325,14 @@ def toml_file(what: str, name: str, known: Mapping[str, Path]) -> tuple[Path, di
         ) from None
 
 
-def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
+def load_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Scenario:
     """The scenario in a run folder's ``run.json``, with ``KEY=VALUE`` changes.
 
     A model parameter equal to the plant's follows the plant again after a change, like in a
     scenario file without that key.
 
     Raises:
-        ScenarioError: as ``draft``.
+        ScenarioError: as ``load_values``.
     """
     changed: dict[str, Any] = json.loads(json.dumps(values))
     plant, model = changed.get("plant"), changed.get("model")
@@ -350,7 +340,7 @@ def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
         changed["model"] = other_values(model, plant, unset=True)
     for setting in settings:
         change(changed, setting)
-    return draft(str(changed.get("name", "run")), changed)
+    return load_values(str(changed.get("name", "run")), changed)
 
 
 def written_by(scenario: Scenario) -> dict[str, Any]:
@@ -378,7 +368,7 @@ def written_by(scenario: Scenario) -> dict[str, Any]:
         if listed := [keys_of(key, table) for table in tables]:
             values[key] = listed[0] if len(listed) == 1 else listed
     found = other_values(values, usual)
-    if draft(scenario.name, found).scenario != draft(scenario.name, values).scenario:
+    if load_values(scenario.name, found) != load_values(scenario.name, values):
         raise ScenarioError(f"scenario {scenario.name}: model: has a lag that no file can unset")
     return found
 
@@ -404,14 +394,15 @@ def other_values(
     return other
 
 
-def draft(name: str, values: Mapping[str, Any]) -> Draft:
+def load_values(name: str, values: Mapping[str, Any]) -> Scenario:
     """A scenario from plain values; ``model`` copies the plant except for its written keys.
 
     The controller's model is linear: for a plant of one's own, the plant's numbers, or the thesis's
     car with the same parameters.
 
     Raises:
-        ScenarioError: an unknown key, a bad value; the message names the key.
+        ScenarioError: an unknown key, a bad value, a bus too slow for ``from-bus``; the message
+            names the key.
     """
     merged = {key: value for key, value in values.items() if key != "name"}
     plant, model = merged.get("plant", {}), merged.get("model", {})
@@ -436,7 +427,18 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
         for key in single:  # a single table has no number
             said = re.sub(f"^{key}\\.0", key, said)
         raise ScenarioError(f"scenario {name}: {said}") from None
-    return Draft(scenario, from_bus)
+    return _with_latency_of_bus(scenario) if from_bus else scenario
+
+
+def _with_latency_of_bus(scenario: Scenario) -> Scenario:
+    bus, where = scenario.bus, f'scenario {scenario.name}: {LATENCY} = "{FROM_BUS}"'
+    try:
+        ticks = latency_ticks(network_of(scenario), bus.bitrate, scenario.tick_s, bus.compute_s)
+        return replace(scenario, latency_ticks=ticks)
+    except ValidationError as error:  # more than a controller's table holds
+        raise ScenarioError(f"{where}: {refusal(error, Scenario)}") from None
+    except RigError as error:
+        raise ScenarioError(f"{where}: {error}") from None
 
 
 def linear_kind(plant: Mapping[str, Any]) -> str:

@@ -363,7 +363,7 @@ class ActuatorSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class BusSettings:
-    """The bus from which ``latency_ticks = "from-bus"`` follows; see ``assessment.bus_timing``."""
+    """The bus from which ``latency_ticks = "from-bus"`` follows; see ``frames.bus_timing``."""
 
     bitrate: Annotated[int, Field(ge=1_000, le=1_000_000)] = 1_000_000  # maximum of classic frames
     compute_s: Annotated[float, Field(ge=0.0, le=100.0)] = 0.0002

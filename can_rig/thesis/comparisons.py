@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from can_rig.assessment.resolve import load
 from can_rig.drawing.names import names_of
 from can_rig.errors import ScenarioError
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.scenario.build import continuous_design, continuous_plant, network_of, require_ours
 from can_rig.scenario.controls import controller_table
 from can_rig.scenario.fault_settings import CHANNELS
+from can_rig.scenario.loading import load
 from can_rig.scenario.plant_settings import BUILT_IN
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario

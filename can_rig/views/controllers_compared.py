@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from can_rig.assessment import resolve
 from can_rig.drawing.thinning import thinned
 from can_rig.errors import RigError, ScenarioError, in_python
 from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.metrics import decision_metrics
 from can_rig.results.signals import Signals
+from can_rig.scenario import loading
 from can_rig.scenario.controller_settings import PEERS
 from can_rig.scenario.from_python import settings_of
 from can_rig.scenario.loading import Changes, value_in, written
@@ -234,7 +234,7 @@ def _scenario(
     if controller.endswith(".toml"):
         if not written(controller).values.get("controller"):
             raise ScenarioError(f"{controller}: must have a table [controller]; no other counts")
-        kind = resolve.load(controller, ()).controller
+        kind = loading.load(controller, ()).controller
         return replace(load(settings_of(own)), controller=kind)
     own["controller.kind"] = controller
     return load(settings_of(own))

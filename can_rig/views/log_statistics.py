@@ -13,8 +13,8 @@ import numpy as np
 from can.util import dlc2len, len2dlc
 from numpy.typing import NDArray
 
-from can_rig.assessment.frame_length import worst_case_bits
 from can_rig.errors import LogError
+from can_rig.frames.frame_length import worst_case_bits
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     CLASSIC_BYTES,

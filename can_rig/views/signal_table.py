@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.assessment.resolve import load_run
 from can_rig.drawing.names import CAR, OF_SIGNALS, Names, column_names, in_words, names_of
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.columns import EVIDENCE_OF, ON_THE_BUS, VERDICT
@@ -24,6 +23,7 @@ from can_rig.results.run_folder import SIGNALS, recorded_scenario
 from can_rig.results.signals import Signals, cell, signals_of, with_plant_signals
 from can_rig.results.source import log_path
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load_run
 from can_rig.scenario.settings import Scenario
 from can_rig.storage import paged
 from firmware_model.law.structs import FloatArray

@@ -12,7 +12,6 @@ from pathlib import Path
 import click
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.campaigns.plan import plan
 from can_rig.campaigns.settings import read_campaign
 from can_rig.cli.main import main
@@ -20,6 +19,7 @@ from can_rig.plant.protocol import PlantProtocol, load_plant
 from can_rig.results.execution import refuse
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controller_table
+from can_rig.scenario.loading import load
 from can_rig.scenario.plant_settings import PlantSettings
 from tests.project.pages import PAGES, ROOT, TUTORIALS, blocks, command_lines, prose, text_of
 

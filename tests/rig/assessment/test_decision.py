@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import decision_figures as figures
 from can_rig.plant.frameless import frameless
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState, Verdict
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.drives import Drives, Finding, box_cars, box_findings, own_findings
-from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability, refuse_unstable
 from can_rig.errors import ScenarioError
 from can_rig.plant.frameless import frameless
 from can_rig.scenario.box import CAR as UNCERTAIN
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import Simulation
 from firmware_model.design import plants

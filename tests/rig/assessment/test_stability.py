@@ -10,12 +10,12 @@ import pytest
 from scipy.linalg import toeplitz
 
 from can_rig.assessment.limitations import ControlAuthority, control_authority, unavoidable
-from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability, refuse_unstable, stable_tuning
 from can_rig.errors import ScenarioError
 from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.scenario import shipped
 from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
 from firmware_model.design.continuous_design import DesignSpecification, design

@@ -9,7 +9,6 @@ from operator import attrgetter
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.candidate import (
     MAX_DELAY_TICKS,
     Car,
@@ -27,6 +26,7 @@ from can_rig.assessment.tuning.report import as_dict, options, rows
 from can_rig.assessment.tuning.search import LONGEST_FRONT, tune
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.controls import controller_table
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, delay_margins, law_in
 from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop

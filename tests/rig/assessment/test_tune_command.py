@@ -6,8 +6,8 @@ import re
 import matplotlib.image
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning import search
+from can_rig.scenario.loading import load
 from tests.helpers import asked, refused, sets, succeeded
 from tests.rig.assessment.tuned import SETTINGS, SMALL, compiled_only
 

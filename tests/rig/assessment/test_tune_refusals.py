@@ -6,7 +6,6 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.candidate import (
     NoTuningError,
     Refusal,
@@ -20,6 +19,7 @@ from can_rig.assessment.tuning.candidate import (
 from can_rig.assessment.tuning.report import why
 from can_rig.assessment.tuning.search import EQUAL_PEAKS
 from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.loading import load
 from tests.rig.assessment.tuned import ALWAYS, SMALL, compiled_only, found_for, scenario_of
 
 pytestmark = compiled_only

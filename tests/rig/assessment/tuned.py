@@ -6,9 +6,9 @@ from itertools import product
 
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.candidate import cars, parameter_ranges
 from can_rig.assessment.tuning.search import Tunings, tune
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 
 SMALL = list(product((0.0002, 0.001), (1, 2), (0.001, 0.0033, 0.01), (2, 3)))

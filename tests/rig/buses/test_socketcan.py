@@ -10,7 +10,6 @@ import can
 import pytest
 from click.testing import CliRunner
 
-from can_rig.assessment.resolve import load
 from can_rig.buses import bus as opening
 from can_rig.buses.bus import open_bus, open_for_node
 from can_rig.cli.main import main
@@ -26,6 +25,7 @@ from can_rig.nodes.bus_access import (
 )
 from can_rig.nodes.interaction import Interaction
 from can_rig.nodes.runner import run_controller, run_in_process, run_plant
+from can_rig.scenario.loading import load
 from tests.helpers import record, refuses
 from tests.vcan import PATIENT, TIMEOUT_S, frame, on_two_buses, own_can, tool
 

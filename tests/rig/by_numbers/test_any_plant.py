@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.limitations import describe, plant_limitations
-from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability, refuse_unstable
 from can_rig.assessment.tuning.candidate import Values, cars_of
 from can_rig.assessment.tuning.search import tune
@@ -17,6 +16,7 @@ from can_rig.plant.frameless import frameless
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.controls import controller_table
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
 from firmware_model.analysis.sampled_plant import sample

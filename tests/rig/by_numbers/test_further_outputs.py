@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from can_rig.assessment.resolve import load
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from tests.helpers import DBC, on_a_bus, on_no_bus, refuses
 
 OUTPUTS = ([0.0, 1.0, 0.0, 0.0], [0.5, 0.0, 0.0, -2.0])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
 from can_rig.assessment.tuning import search
 from can_rig.assessment.tuning.candidate import Values, cars, parameter_ranges
@@ -16,6 +15,7 @@ from can_rig.plant.frameless import frameless
 from can_rig.results.report import page as report
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import continuous_plant, network_of
+from can_rig.scenario.loading import load
 from can_rig.thesis.comparisons import compare_scenario
 from firmware_model.law.status import FaultState
 from tests.helpers import asked, record, succeeded

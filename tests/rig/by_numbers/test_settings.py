@@ -7,10 +7,10 @@ import control
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load, load_run
 from can_rig.drawing.names import names_of
 from can_rig.scenario.box import in_box, uncertain
 from can_rig.scenario.build import continuous_design, continuous_plant, network_of
+from can_rig.scenario.loading import load, load_run
 from can_rig.scenario.plant_settings import TransferFunction
 from firmware_model.design.plants import chapter_2
 from firmware_model.design.zpk import ZeroPoleGain

@@ -18,7 +18,6 @@ import pytest
 import tomli_w
 from distributed import Future, KilledWorker, LocalCluster
 
-from can_rig.assessment.resolve import load
 from can_rig.campaigns import cluster
 from can_rig.campaigns.cluster import on_cluster, rows_of
 from can_rig.campaigns.execution import CampaignFolder, execute, open_folder
@@ -28,6 +27,7 @@ from can_rig.campaigns.settings import campaign_of
 from can_rig.campaigns.workers import DEATHS, deaths_after, serially, versions
 from can_rig.errors import INTERRUPTED, RigError, RunFolderError, ScenarioError, WorkersLostError
 from can_rig.results.metrics import Metrics, metrics_of
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from tests.helpers import asked, succeeded
 from tests.processes import wait_for

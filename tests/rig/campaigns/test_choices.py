@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 from scipy.stats import chi2
 
-from can_rig.assessment.resolve import load
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.requirements import Requirement
 from can_rig.campaigns.rows import require_tables, requirements_of, run_row, schema
 from can_rig.campaigns.settings import campaign_of, read_campaign, shipped
 from can_rig.campaigns.statistics import ALWAYS_SHOWN, cross, parts_by_name, summarise
 from can_rig.errors import ScenarioError
+from can_rig.scenario.loading import load
 from can_rig.scenario.sensor_settings import MEASURED
 from tests.helpers import refuses
 

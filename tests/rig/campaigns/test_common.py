@@ -11,7 +11,6 @@ import pytest
 import tomli_w
 from numpy.lib.recfunctions import structured_to_unstructured
 
-from can_rig.assessment.resolve import load
 from can_rig.campaigns.plan import plan
 from can_rig.campaigns.rows import Task, run_rows
 from can_rig.campaigns.settings import campaign_of, read_campaign
@@ -21,6 +20,7 @@ from can_rig.results.metrics import metrics_of
 from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controller_table
+from can_rig.scenario.loading import load
 
 MIXED: dict[str, Any] = {
     "settings": {"duration_s": 0.2, "fault.at_s": 0.1, "fault.value": 3.0},

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from can_rig.assessment.resolve import load
 from can_rig.campaigns.report import draw, is_far_reaching, label_of, label_of_key
 from can_rig.campaigns.rows import read_columns, requirements_of
 from can_rig.campaigns.statistics import columns_needed, summarise
 from can_rig.drawing.names import names_of
+from can_rig.scenario.loading import load
 from tests.rig.campaigns.running import planned, ran
 
 OF_CAR = {

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.campaigns.plan import plan
 from can_rig.campaigns.rows import requirements_of
 from can_rig.campaigns.settings import campaign_of, read_campaign, shipped
 from can_rig.errors import ScenarioError
+from can_rig.scenario.loading import load
 from tests.helpers import refuses
 
 MASS = {"plant.mass_kg": {"share": 0.2}}

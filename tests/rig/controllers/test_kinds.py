@@ -11,7 +11,6 @@ import pytest
 from scipy import signal
 
 import can_rig
-from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
 from can_rig.assessment.tuning.search import tune
 from can_rig.controllers.filters_law import FiltersLaw
@@ -32,6 +31,7 @@ from can_rig.results.source import source_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controller_settings import PEERS
 from can_rig.scenario.controls import controller_table
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.comparisons import compare_scenario
 from firmware_model.analysis.read_off import read_off

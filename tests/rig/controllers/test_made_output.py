@@ -7,12 +7,12 @@ import cantools
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.making import controller_of
 from can_rig.plant.frameless import frameless
 from can_rig.results.isolation import with_verdict
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from tests.helpers import DBC, on_a_bus, on_no_bus, refuses
 

@@ -13,7 +13,6 @@ from typing import Any, get_args
 import can
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.ecus import HostEcu
 from can_rig.controllers.our_law import PYTHON
 from can_rig.controllers.protocol import Supplied
@@ -26,6 +25,7 @@ from can_rig.export.trials import random_frames
 from can_rig.frames.network import Network
 from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import Precision
 from tests.helpers import on_a_bus

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.compiled_law import CompiledLaw
 from can_rig.controllers.ecus import host_library
 from can_rig.errors import ExportError
@@ -37,6 +36,7 @@ from can_rig.export.trials import (
 )
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
+from can_rig.scenario.loading import load
 from firmware_model.firmware import Firmware, Law
 from firmware_model.law.layout import State, state_type, table_type
 from firmware_model.law.schedule import MAX_SPEEDS

@@ -18,7 +18,6 @@ from pathlib import Path
 import can
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers import CONTROLLERS, SERIAL, ecus
 from can_rig.controllers.compiled_law import CompiledLaw
 from can_rig.controllers.ecus import (
@@ -41,6 +40,7 @@ from can_rig.export.trials import random_frames
 from can_rig.frames.codec import FRAME_BYTES, Transmitter
 from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from firmware_model.law.structs import record_type
 from firmware_model.law.supervision.knowledge import Saved
 from tests import helpers

@@ -9,11 +9,11 @@ import pytest
 from e2e.p01 import e2e_p01_check
 from hypothesis import given, strategies as st
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.ecus import host_library
 from can_rig.export.network_code import SENT
 from can_rig.frames.codec import USABLE, Checker, CheckStatus, Protector
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from firmware_model.law.structs import Precision
 from tests.rig.export.shared import PRECISIONS, frames_in_c
 

@@ -9,7 +9,6 @@ import shutil
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.export import evidence
 from can_rig.export.application import HEADER, application, exported, write
 from can_rig.export.boards import COMPILER, EMULATOR
@@ -29,6 +28,7 @@ from can_rig.export.law import law_files
 from can_rig.export.provenance import MANIFEST
 from can_rig.plant.frameless import controller_inputs
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from firmware_model.law.layout import state_type, table_type
 from firmware_model.law.schedule import Constants, State
 from firmware_model.law.structs import record_type

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.export.application import application, exported, write
 from can_rig.export.boards import emulated, image_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
+from can_rig.scenario.loading import load
 from firmware_model.firmware import Firmware
 from tests.rig.export.shared import EMULATED, STRICT, log_of, run
 

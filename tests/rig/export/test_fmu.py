@@ -19,7 +19,6 @@ from fmpy.simulation import instantiate_fmu
 from fmpy.validation import validate_fmu
 
 import can_rig
-from can_rig.assessment.resolve import load
 from can_rig.errors import ExportError, LogError, RigError
 from can_rig.export.controller_fmu import controller_model, node_model
 from can_rig.export.fmu import write_fmus
@@ -29,6 +28,7 @@ from can_rig.plant.frameless import frameless
 from can_rig.results.run_folder import LOG
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controller_table
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 from tests.helpers import refused, succeeded

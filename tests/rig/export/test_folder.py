@@ -8,7 +8,6 @@ import subprocess
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.export.application import HEADER, exported, write
 from can_rig.export.c_files import WIDTH, constants_files
 from can_rig.export.compiler import built as compiled
@@ -16,6 +15,7 @@ from can_rig.export.law import law_files
 from can_rig.export.trials import random_table
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
+from can_rig.scenario.loading import load
 from firmware_model.firmware import Firmware
 from tests.helpers import asked, refused
 from tests.rig.export.conftest import SCENARIOS

@@ -2,11 +2,11 @@
 
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.errors import ExportError
 from can_rig.export import mutants as of_c
 from can_rig.export.application import exported
 from can_rig.export.mutants import Mutant, mutants, score
+from can_rig.scenario.loading import load
 
 SCENARIO = load("default", ["duration_s=0.05", 'design.precision="float32"'])
 

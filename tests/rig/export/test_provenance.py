@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 import firmware_model
-from can_rig.assessment.resolve import load
 from can_rig.export.application import HEADER, application, exported, identity
 from can_rig.export.provenance import MANIFEST
+from can_rig.scenario.loading import load
 from tests.helpers import succeeded
 from tests.rig.export.shared import run
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.ecus import HostEcu, host_library
 from can_rig.errors import ExportError
 from can_rig.export import boards
@@ -24,6 +23,7 @@ from can_rig.export.trials import as_orders, on_host
 from can_rig.frames.codec import FRAME_BYTES
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 from tests.rig.export.conftest import SCENARIOS

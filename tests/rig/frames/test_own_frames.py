@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given, strategies as st
 
-from can_rig.assessment.resolve import load
 from can_rig.frames.codec import CheckStatus, Receiver, Transmitter
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database, options
 
 LARGEST = float(np.finfo(np.float32).max)

@@ -4,9 +4,9 @@ import struct
 
 from hypothesis import given, strategies as st
 
-from can_rig.assessment.resolve import load
 from can_rig.frames.codec import WIRE_TICKS, Transmitter, tick_at, tick_from, tick_on, ticks_ahead
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 
 NETWORK = network_of(load("default"))
 TICKS = st.integers(0, 10**7)

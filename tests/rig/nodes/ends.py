@@ -6,13 +6,13 @@ from functools import partial
 
 import can
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import PYTHON
 from can_rig.frames.codec import tick_on
 from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
 from can_rig.nodes.lockstep import ControllerNode, PlantNode
 from can_rig.nodes.ticks import drive
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from tests.clock import TurnedClock
 
 TICKS = 20

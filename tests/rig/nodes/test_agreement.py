@@ -11,7 +11,6 @@ from dataclasses import replace
 import can
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import BusError, ScenarioError
@@ -30,6 +29,7 @@ from can_rig.nodes.bus_access import Timeouts
 from can_rig.nodes.runner import RunOptions
 from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from tests.clock import TurnedClock, Wire
 from tests.helpers import DBC, NAMES, record, start, two_nodes
 from tests.rig.nodes.running import one_line

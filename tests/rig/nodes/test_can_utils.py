@@ -16,12 +16,12 @@ from pathlib import Path
 import cantools
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_plant
 from can_rig.results.run_folder import LOG, SUMMARY
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from tests.helpers import DBC, NAMES, record, sets, succeeded
 from tests.vcan import PATIENT, TIMEOUT_S, beside, frames, on_two_buses, tool
 

@@ -6,7 +6,6 @@ import can
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.making import controller_of
 from can_rig.controllers.our_law import PYTHON, OurLaw
 from can_rig.controllers.protocol import Answer, InNode, Inputs
@@ -22,6 +21,7 @@ from can_rig.results.report.web_page import recording
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import speeds_at_ticks
+from can_rig.scenario.loading import load
 from firmware_model.firmware import PYTHON_LAW
 from tests.helpers import asked, decoded, on_a_bus, succeeded
 from tests.rig.panel.test_live import heard

@@ -5,11 +5,11 @@ from typing import Any
 import can
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.protocol import WholeNode
 from can_rig.frames.codec import CheckStatus
 from can_rig.nodes.lockstep import EcuNode, lockstep_controller
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 
 HEALTHY = load("default", ["duration_s=0.03", "fault.kind=none"])
 NETWORK = network_of(HEALTHY)

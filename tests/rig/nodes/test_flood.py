@@ -5,11 +5,11 @@ from collections import Counter
 
 import can
 
-from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.controllers.our_law import PYTHON
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
+from can_rig.scenario.loading import load
 from tests.helpers import record
 
 TICKS, A_TICK = 300, 50

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.controllers.our_law import PYTHON
 from can_rig.frames.codec import Transmitter
@@ -11,6 +10,7 @@ from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
 from can_rig.nodes.lockstep import ControllerNode, PlantNode
 from can_rig.nodes.recording import Recorder
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from tests.helpers import NAMES, decoded, record
 from tests.rig.nodes.world import LSB, dstar_under
 

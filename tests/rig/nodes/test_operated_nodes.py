@@ -8,7 +8,6 @@ from pathlib import Path
 import can
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError
 from can_rig.frames import operator_frames
@@ -18,6 +17,7 @@ from can_rig.nodes.interaction import Interaction
 from can_rig.nodes.operating import done, operate, touches
 from can_rig.scenario.build import network_of
 from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.loading import load
 from tests.helpers import on_a_bus, two_nodes
 from tests.vcan import PATIENT, TIMEOUT_S
 

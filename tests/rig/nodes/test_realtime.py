@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import OurLaw
 from can_rig.controllers.protocol import InNode
 from can_rig.errors import BusError, ScenarioError, SilentNodeError
@@ -16,6 +15,7 @@ from can_rig.nodes.realtime.controller_node import warm_up
 from can_rig.nodes.realtime.timing import CATCH_UP_TICKS, Schedule
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from firmware_model.law.status import FaultState, Mode, Verdict
 from tests.helpers import NAMES, decoded, record
 from tests.rig.nodes.world import (

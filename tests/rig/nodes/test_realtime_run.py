@@ -6,9 +6,9 @@ import signal
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from tests.helpers import asked, refused, start
 from tests.processes import wait_for
 from tests.rig.nodes.running import LONG, alive, lines_of, running, summary_of

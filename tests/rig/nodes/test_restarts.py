@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.making import controller_of
 from can_rig.errors import ScenarioError
 from can_rig.logs.reading import read_log
@@ -21,6 +20,7 @@ from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
 from can_rig.scenario.fault_settings import FaultSettings, Outage, outages
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 from firmware_model.law.status import FaultState

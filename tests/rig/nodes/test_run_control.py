@@ -7,7 +7,6 @@ import can
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.making import controller_of
 from can_rig.frames import operator_frames
 from can_rig.frames.codec import Transmitter
@@ -20,6 +19,7 @@ from can_rig.nodes.operating import Touch, done, touches
 from can_rig.nodes.run_control import FollowedFaults, RunControl
 from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from tests.clock import TurnedClock, Wire
 from tests.helpers import on_a_bus
 

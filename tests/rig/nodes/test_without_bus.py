@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.making import PEER
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import RigError
@@ -21,7 +20,7 @@ from can_rig.plant import in_windows
 from can_rig.results.execution import NO_BUS, Options, execute
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import draft
+from can_rig.scenario.loading import load, load_values
 from can_rig.scenario.sensor_settings import MEASURED
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import Verdict
@@ -110,7 +109,7 @@ def test_the_folder_is_that_of_both_nodes(name, changes, tmp_path):
     ]),
 )  # fmt: skip
 def test_any_sensors_send_the_frames_of_both_nodes(sensors, more):
-    scenario = draft("sensed", {"duration_s": 0.15, "sensor": sensors, **more}).scenario
+    scenario = load_values("sensed", {"duration_s": 0.15, "sensor": sensors, **more})
     controller = PEER if "controller" in more else PYTHON
     with TemporaryDirectory() as where:
         logs = [Path(where, name) for name in ("a.log", "b.log")]

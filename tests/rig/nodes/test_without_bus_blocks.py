@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import PYTHON
 from can_rig.nodes import ticks
 from can_rig.nodes.bus_access import StopRequest
@@ -17,6 +16,7 @@ from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.ticks import NodeSummary
 from can_rig.nodes.without_bus import RunWithoutBus, run_without_bus
 from can_rig.plant import in_windows
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from tests.clock import TurnedClock
 

@@ -9,7 +9,6 @@ import can
 import numpy as np
 from scipy.signal import cont2discrete
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import OurLaw
 from can_rig.controllers.protocol import InNode
 from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
@@ -18,6 +17,7 @@ from can_rig.nodes.realtime.plant_node import RealTimePlantNode
 from can_rig.nodes.recording import LaterFile, Recorder
 from can_rig.nodes.ticks import drive
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
 from firmware_model.firmware import PYTHON_LAW
 

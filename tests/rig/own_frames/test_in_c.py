@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.ecus import HostEcu, host_library
 from can_rig.controllers.making import controller_of
 from can_rig.errors import ExportError
@@ -21,7 +20,7 @@ from can_rig.frames.codec import ROLES
 from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import draft
+from can_rig.scenario.loading import load, load_values
 from tests.helpers import succeeded
 from tests.rig.export.shared import (
     EMULATED,
@@ -224,7 +223,7 @@ def test_sensors_are_heard_in_the_units_of_the_database(tmp_path, precision, fau
         "network": {"dbc": str(path), "tick": "Count", "signals": {**SIGNALS, **roles}},
     }  # fmt: skip
     all_of_them, fewer = (
-        draft("sensed", {**values, "sensor": heard}).scenario for heard in (HEARD, others)
+        load_values("sensed", {**values, "sensor": heard}) for heard in (HEARD, others)
     )
     python = log_from(all_of_them)
     assert python == log_from(all_of_them, controller_of("ecu", all_of_them))

@@ -9,12 +9,12 @@ import pytest
 from cantools.database.can import Database
 from hypothesis import example, given, settings, strategies as st
 
-from can_rig.assessment.resolve import load
 from can_rig.errors import DbcError, ScenarioError
 from can_rig.frames.codec import CheckStatus, Receiver, Transmitter
 from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from tests.helpers import record, refuses
 from tests.rig.own_frames.arxml import as_arxml, name_of
 from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database, options

@@ -10,7 +10,6 @@ import can
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import DbcError, ScenarioError, SilentNodeError
 from can_rig.frames.network import Network
@@ -20,6 +19,7 @@ from can_rig.nodes.ticks import drive
 from can_rig.plant.frameless import frameless
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState
 from tests.clock import TurnedClock, Wire

@@ -13,7 +13,7 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.results.execution import Options, execute, two_processes
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import draft
+from can_rig.scenario.loading import load_values
 from can_rig.scenario.settings import Scenario
 from tests.rig.own_frames.scenarios import CALM, ESP12, MOTOROLA, SIGNALS
 
@@ -58,7 +58,7 @@ def scenario(dbc: Path | None, roles: dict[str, Any], **more: Any) -> Scenario:
         "duration_s": 0.4, "latency_ticks": 1, "sensor": SENSORS, "fault": {"kind": "none"},
         "limits": {"torque_nm": 400.0, "force_difference_n": 4000.0}, **own, **more,
     }  # fmt: skip
-    return draft("sensed", values).scenario
+    return load_values("sensed", values)
 
 
 def ran(chosen: Scenario, out: Path, **options: Any) -> Path:

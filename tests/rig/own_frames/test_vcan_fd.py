@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import RigError
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
+from can_rig.scenario.loading import load
 from tests.helpers import record
 from tests.rig.own_frames.scenarios import FD_SIGNALS, database, options
 from tests.rig.own_frames.test_runs import by_cantools

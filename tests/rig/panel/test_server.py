@@ -12,12 +12,12 @@ import pytest
 from aiohttp import WSCloseCode, WSMsgType, WSServerHandshakeError
 from aiohttp.test_utils import TestClient, TestServer
 
-from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError
 from can_rig.panel.screen import MOST_WAITING, Screen, Viewer, batch, save
 from can_rig.panel.server import Access, Server
 from can_rig.panel.session import Session
+from can_rig.scenario.loading import load
 from tests.helpers import record
 
 TOUCH, LOOK = "t" * 32, "l" * 32

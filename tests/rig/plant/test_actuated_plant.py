@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.actuated_plant import ActuatedLinearPlant
 from can_rig.plant.actuators import FollowedCommand
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.sensor import FilteredSamples, NoiseColumns
 from can_rig.plant.simulated import SimulatedPlant
+from can_rig.scenario.loading import load
 from firmware_model.design.actuator_dynamics import Stage
 
 LINEAR = "tests.rig.plant.linear:LinearPlant"

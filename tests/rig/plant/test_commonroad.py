@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
 
-from can_rig.assessment.resolve import load
 from can_rig.plant.frameless import frameless
+from can_rig.scenario.loading import load
 from firmware_model.law.status import FaultState
 
 LOST_S = 2.0

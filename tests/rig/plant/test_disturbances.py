@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.disturbances import BLOCK, CALM, Disturbances
@@ -17,6 +16,7 @@ from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.plant.protocol import require_world
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import WORLD_COLUMNS
+from can_rig.scenario.loading import load
 from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.simulation import LoopPlant
 from tests.firmware.analysis.world import Integrated

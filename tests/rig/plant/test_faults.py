@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from can_rig.assessment.resolve import load
 from can_rig.errors import RigError
 from can_rig.frames.operator_frames import Command
 from can_rig.plant.faults.injection import injected, require_possible
@@ -15,6 +14,7 @@ from can_rig.plant.faults.plant_faults import FaultsByTick, PlantFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.fault_settings import MAX_LATE_TICKS
+from can_rig.scenario.loading import load
 from can_rig.thesis.continuous import solve
 from firmware_model.analysis.hardware import HEALTHY
 

@@ -6,11 +6,11 @@ import can
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.frames.codec import Receiver, Transmitter
 from can_rig.plant.faults.frame_faults import Delivery, FrameFaults, delivery
 from can_rig.scenario.build import network_of
 from can_rig.scenario.fault_settings import CHANNELS, PLACES
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from tests.rig.plant.fault_settings import fault_list
 

@@ -7,7 +7,6 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.logs.columns import ON_THE_BUS
 from can_rig.plant.frameless import frameless, inputs_of
 from can_rig.results.counterfactual import signals_without_log
@@ -15,6 +14,7 @@ from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controller_table
 from can_rig.scenario.fault_settings import OF_FURTHER_SENSORS, PLACES, RESTARTED, FaultKind
+from can_rig.scenario.loading import load
 from can_rig.scenario.sensor_settings import ECHOES, MEASURED
 from firmware_model.analysis.simulation import Trace
 from firmware_model.discretisation.schedules import Scheduled

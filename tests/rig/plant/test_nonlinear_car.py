@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 
-from can_rig.assessment.resolve import load
 from can_rig.plant.frameless import frameless
 from can_rig.plant.nonlinear_car import NonlinearCar, _advance, _rates, brush, car_of
+from can_rig.scenario.loading import load
 from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.changing_plant import changing_plant, follow_changing
 from firmware_model.design.actuator_dynamics import IDEAL

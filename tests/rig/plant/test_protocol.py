@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.errors import RigError, ScenarioError
 from can_rig.plant import protocol as plant_protocol
 from can_rig.plant.protocol import PlantProtocol, load_plant
 from can_rig.plant.simulated import SimulatedPlant
+from can_rig.scenario.loading import load
 from can_rig.scenario.plant_settings import PlantSettings
 from tests.helpers import record, refused, succeeded
 

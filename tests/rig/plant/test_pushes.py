@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from can_rig.assessment.resolve import load
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.disturbances import Disturbances
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import FloatArray
 from tests.rig.plant.fmu.building import COMPILER, build

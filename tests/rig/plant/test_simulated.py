@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 
-from can_rig.assessment.resolve import load
 from can_rig.plant.actuators import Actuator
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.loading import load
 
 HEALTHY = ["fault.kind=none"]
 commands = st.one_of(st.none(), st.floats(-1e3, 1e3))

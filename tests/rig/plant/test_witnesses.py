@@ -13,7 +13,7 @@ from can_rig.errors import ScenarioError
 from can_rig.frames.databases import shipped_dbc
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.results.execution import Options, execute, two_processes
-from can_rig.scenario.loading import draft
+from can_rig.scenario.loading import load_values
 from tests.helpers import refuses
 
 TICK_S = 0.001
@@ -35,7 +35,7 @@ def scenario(**more):
         "design": {"tau_q_s": 0.015, "alpha_q": 3, "alpha": 2, "estimator": "zoh"},
         "limits": {"torque_nm": 400.0, "force_difference_n": 4000.0}, "sensor": SENSORS, **more,
     }  # fmt: skip
-    return draft("cluster", values).scenario
+    return load_values("cluster", values)
 
 
 def run(chosen, out, **options):

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from can import Message
 
-from can_rig.assessment.resolve import load
 from can_rig.frames.codec import Transmitter
 from can_rig.replaying.gaps import Gap
 from can_rig.replaying.replay import OpenLoop
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controller_table
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 from tests.helpers import NAMES

@@ -10,12 +10,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import in_node
 from can_rig.logs.reading import read_log
 from can_rig.replaying.replay import OpenLoop
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, ChangeSpeed, Hear, Law, Memories, Step
 from firmware_model.law.layout import State, Table

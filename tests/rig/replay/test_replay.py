@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load, load_run
 from can_rig.controllers.making import PEER
 from can_rig.errors import LogError
 from can_rig.logs.reading import read_log
@@ -16,6 +15,7 @@ from can_rig.logs.writing import write_log
 from can_rig.replaying.replay import OpenLoop
 from can_rig.replaying.rig_frames import Recorded, recorded
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load, load_run
 from tests.helpers import NAMES, asked, record, refused, sets, succeeded
 from tests.rig.nodes.world import World, hold_up, scenario_of
 from tests.rig.replay.drive import (

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.results import counterfactual
 from can_rig.results.counterfactual import fault_free, loop_of
 from can_rig.results.metrics import metrics, metrics_of
 from can_rig.results.signals import Signals
+from can_rig.scenario.loading import load
 from tests.rig.plant.failing import FAILING
 from tests.rig.results.quiet import COLUMNS, quiet
 

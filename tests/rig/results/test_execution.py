@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from can_rig.assessment.resolve import load
 from can_rig.cli.run import closing_table
 from can_rig.errors import INTERRUPTED, LogError, RigError, RunFolderError, SilentNodeError
 from can_rig.nodes.bus_access import StopRequest
@@ -32,6 +31,7 @@ from can_rig.results.run_folder import (
 )
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from tests.helpers import asked, record, refused, succeeded
 from tests.rig.plant.failing import FAILING
 

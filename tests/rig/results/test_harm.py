@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from can_rig.assessment.resolve import load
 from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.frameless import frameless
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.metrics import harm_metrics, metrics_of
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState, Verdict
 

@@ -9,10 +9,10 @@ import can
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.plant import in_windows
 from can_rig.results.execution import Execution, Options, execute
+from can_rig.scenario.loading import load
 from can_rig.storage import paged
 from can_rig.views.recorded_run import RecordedRun
 from tests.helpers import asked, refused, succeeded

@@ -7,11 +7,11 @@ import pytest
 from scipy import signal
 
 from can_rig.api import load_scenario
-from can_rig.assessment.resolve import load
 from can_rig.results import metrics as module
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.metrics import fault_metrics, metrics
 from can_rig.results.signals import Signals
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.law.status import Verdict

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
 from can_rig.results.counterfactual import fault_free, output_of_car, signals_without_log
 from can_rig.results.metrics import Metrics, fault_metrics, fault_rows, metrics, rows, windows
 from can_rig.results.signals import Signals
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import solve
 from tests.rig.results.quiet import COLUMNS, quiet

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from can_rig.assessment.resolve import load
 from can_rig.logs.columns import APPLIED, SECOND_MASS
 from can_rig.panel.live import SecondMass
 from can_rig.results.motion import scene, track_of, tracks
 from can_rig.results.signals import Signals, signals_of_columns
+from can_rig.scenario.loading import load
 from can_rig.scenario.plant_settings import SignalSettings
 from can_rig.scenario.settings import Scenario
 from tests.helpers import on_no_bus

@@ -14,7 +14,6 @@ from can import LogReader
 from hypothesis import given, strategies as st
 
 import can_rig
-from can_rig.assessment.resolve import load
 from can_rig.drawing.names import column_names
 from can_rig.frames.codec import Transmitter
 from can_rig.frames.network import Network
@@ -28,6 +27,7 @@ from can_rig.logs.columns import (
 )
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from can_rig.scenario.plant_settings import SignalSettings
 from can_rig.scenario.sensor_settings import USUAL
 from can_rig.views.signal_table import read_table

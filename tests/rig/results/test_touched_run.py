@@ -6,7 +6,6 @@ from pathlib import Path
 import can
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.frames.operator_frames import Command, command_message, identifiers
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.interaction import Interaction
@@ -14,6 +13,7 @@ from can_rig.nodes.operating import Touch
 from can_rig.nodes.run_control import RunControl
 from can_rig.results.execution import Options, execute
 from can_rig.results.run_folder import REFERENCE
+from can_rig.scenario.loading import load
 
 FRAMES = 5  # of a tick
 

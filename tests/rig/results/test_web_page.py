@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.drawing.bench import packed
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.metrics import fault_metrics, metrics
 from can_rig.results.report.web_page import events, recording, web_page
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 
 SHORT = ["duration_s=1.5", "fault.at_s=0.8", "fault.1.kind=frames-missing", "fault.1.at_s=0.2"]
 SHORT += ["fault.1.channel=sensor", "fault.1.for_s=0.05", "description=</script>"]

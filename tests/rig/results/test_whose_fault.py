@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.drawing.names import CAR
 from can_rig.logs.columns import EVIDENCE, VERDICT
 from can_rig.plant.frameless import frameless
@@ -16,6 +15,7 @@ from can_rig.results.metrics import metrics_of
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law.status import FaultState, Mode, Verdict

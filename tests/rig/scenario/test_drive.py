@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.search import tune
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import network_of, target
@@ -16,6 +15,7 @@ from can_rig.scenario.driving import (
     speed_profile,
     speeds_at_ticks,
 )
+from can_rig.scenario.loading import load
 from can_rig.scenario.reference import reference
 from firmware_model.design.vehicle import LOW_SPEED_MPS
 

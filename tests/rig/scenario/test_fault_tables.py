@@ -3,11 +3,10 @@
 import pytest
 from hypothesis import given, strategies as st
 
-from can_rig.assessment.resolve import load, load_run
 from can_rig.campaigns.plan import Base
 from can_rig.campaigns.settings import campaign_of
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import as_settings, value_in, written
+from can_rig.scenario.loading import as_settings, load, load_run, value_in, written
 from can_rig.views.diff import differing_settings
 
 LIST = """

@@ -11,12 +11,12 @@ import pytest
 from scipy import signal
 
 import can_rig
-from can_rig.assessment.resolve import load
 from can_rig.controllers.filters_law import filter_of
 from can_rig.controllers.making import peer_of
 from can_rig.controllers.protocol import Inputs
 from can_rig.errors import RigError, ScenarioError
 from can_rig.scenario import shipped
+from can_rig.scenario.loading import load
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model import Filter

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
 from can_rig.plant.disturbances import CALM, Disturbances
 from can_rig.scenario import SHIPPED
@@ -19,6 +18,7 @@ from can_rig.scenario.driving import (
     notes_of_drive,
     speed_profile,
 )
+from can_rig.scenario.loading import load
 from tests.helpers import refuses
 
 WLTC = SHIPPED / "wltc-class-3b.csv"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
+from can_rig.scenario.loading import load
 from can_rig.scenario.reference import LANE_CHANGE_S, lane_change, reference
 from tests.helpers import refuses
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
 from can_rig.scenario.controls import controls
+from can_rig.scenario.loading import load
 from tests.helpers import refuses
 from tests.rig.scenario.page_of_keys import keys_of_the_page
 

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controller_table
-from can_rig.scenario.loading import draft
+from can_rig.scenario.loading import load, load_values
 from can_rig.scenario.plant_settings import BUILT_IN, PlantSettings
 from can_rig.scenario.settings import DesignSettings, Scenario, leaves
 from firmware_model.design.vehicle import VehicleParameters
@@ -111,7 +110,7 @@ def test_later_settings_win_whole_numbers_are_numbers_and_quotes_are_optional():
 def test_a_scenario_survives_json_and_is_frozen():
     one_lag = {key: value for key, value in OTHER.items() if "natural_frequency" not in key}
     scenario = load("thesis-sine", [f"{k}={json.dumps(v)}" for k, v in one_lag.items()])
-    assert draft("thesis-sine", json.loads(json.dumps(scenario.as_dict()))).scenario == scenario
+    assert load_values("thesis-sine", json.loads(json.dumps(scenario.as_dict()))) == scenario
     with pytest.raises(dataclasses.FrozenInstanceError):
         scenario.tick_s = 1.0
 

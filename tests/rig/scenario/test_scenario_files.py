@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
+from can_rig.scenario.loading import load
 
 
 def test_no_such_scenario():

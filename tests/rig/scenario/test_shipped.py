@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from can_rig.assessment.resolve import load
 from can_rig.plant.frameless import frameless
 from can_rig.scenario import shipped
 from can_rig.scenario.box import CAR as UNCERTAIN, in_box
 from can_rig.scenario.driving import speeds_at_ticks
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.status import FaultState, Mode, Verdict
 

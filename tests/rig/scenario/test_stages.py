@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from can_rig.assessment.resolve import load, load_run
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_design, continuous_plant
+from can_rig.scenario.loading import load, load_run
 from can_rig.scenario.settings import Scenario
 
 ORDERS = ["design.alpha=3", "design.alpha_q=4", "design.tau_s=0.01", "design.tau_q_s=0.02"]

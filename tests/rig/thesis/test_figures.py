@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import integrate, signal
 
-from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.scenario.build import continuous_design, continuous_plant
+from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.comparisons import both, compare, compare_scenario
 from can_rig.thesis.continuous import OUTPUTS, closed_loop, solve

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 import can_rig
-from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.results.execution import Options, execute
-from can_rig.scenario.loading import as_settings
+from can_rig.scenario.loading import as_settings, load
 from can_rig.views.controllers_compared import CASES
 from tests.helpers import asked, refused, succeeded
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
-from can_rig.assessment.resolve import load
 from can_rig.drawing.names import unit_of
 from can_rig.errors import LogError
+from can_rig.scenario.loading import load
 from can_rig.views.diff import compare, tolerances_of
 from can_rig.views.pictures import difference_page
 from can_rig.views.signal_table import SignalTable, read_table

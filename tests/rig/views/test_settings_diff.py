@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from can_rig.assessment.resolve import load
 from can_rig.results.run_folder import Outcome, finish
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from can_rig.views.diff import SettingDifference, compare, differing_settings
 from can_rig.views.pictures import difference_page
 from can_rig.views.signal_table import SignalTable, read_table, titles

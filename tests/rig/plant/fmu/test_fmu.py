@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from can_rig.assessment.resolve import load
 from can_rig.errors import RigError
 from can_rig.fmu.file import CO_SIMULATION, MODEL_EXCHANGE
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.protocol import GuardedPlant, load_plant
 from can_rig.scenario.build import continuous_car
+from can_rig.scenario.loading import load
 from can_rig.scenario.plant_settings import PlantSettings
 from tests.helpers import asked, record
 from tests.rig.plant.fmu.building import build

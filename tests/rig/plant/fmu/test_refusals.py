@@ -8,7 +8,7 @@ import pytest
 
 from can_rig.errors import ScenarioError
 from can_rig.plant.protocol import load_plant
-from can_rig.scenario.loading import draft
+from can_rig.scenario.loading import load_values
 from tests.rig.plant.fmu.building import TOKEN, build, description, pack
 
 NAMES = {"input_1": "u1", "input_2": "u2", "output": "y"}
@@ -17,7 +17,7 @@ NAMES = {"input_1": "u1", "input_2": "u2", "output": "y"}
 def line_of(plant: dict) -> str:
     """The line that refuses a run of ``plant``."""
     with pytest.raises(ScenarioError) as caught:
-        settings = draft("mine", {"plant": plant}).scenario.plant
+        settings = load_values("mine", {"plant": plant}).plant
         load_plant(settings.kind, settings)
     assert "\n" not in str(caught.value)
     return str(caught.value)
@@ -208,8 +208,9 @@ def test_a_tick_that_its_own_fixed_step_does_not_divide(tmp_path, library):
         [1.0],
         {"<CoSimulation ": '<CoSimulation fixedInternalStepSize="0.01" '},
     )
-    settings = draft("x", {"plant": {"kind": f"fmu:{tmp_path / 'fixed.fmu'}", "variables": NAMES}})
-    plant = load_plant(settings.scenario.plant.kind, settings.scenario.plant)
+    own = {"kind": f"fmu:{tmp_path / 'fixed.fmu'}", "variables": NAMES}
+    settings = load_values("x", {"plant": own}).plant
+    plant = load_plant(settings.kind, settings)
     plant.advance(0.02, 1.0, 0.0)
     with pytest.raises(Exception, match=r"a step of 0\.015 s must be a multiple of 0\.01 s"):
         plant.advance(0.015, 1.0, 0.0)

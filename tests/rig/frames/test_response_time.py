@@ -7,16 +7,16 @@ from math import inf, nan
 import pytest
 from hypothesis import example, given, strategies as st
 
-from can_rig.assessment.bus_timing import (
+from can_rig.frames.bus_timing import (
     AnalysisError,
     PeriodicFrame,
     exact,
     response_times,
     utilisation,
 )
-from can_rig.assessment.frame_length import FrameBits, FrameError, worst_case_bits
+from can_rig.frames.frame_length import FrameBits, FrameError, worst_case_bits
 from tests.helpers import refuses
-from tests.rig.assessment.simulated_bus import simulate
+from tests.rig.frames.simulated_bus import simulate
 
 BITS = worst_case_bits(7)  # 125 with the intermission: 1 ms at 125 kbit/s
 PAPER = [

@@ -1,6 +1,6 @@
 """Frames built bit by bit as ISO 11898-1 has them on the wire, and their lengths."""
 
-from can_rig.assessment.frame_length import FrameBits
+from can_rig.frames.frame_length import FrameBits
 
 
 def bits_of(number, width):

@@ -6,12 +6,11 @@ from fractions import Fraction
 
 import pytest
 
-from can_rig.assessment.bus_timing import PeriodicFrame, dbc_timing, latency_ticks, response_times
-from can_rig.assessment.frame_length import FrameError, worst_case_bits
-from can_rig.assessment.resolve import load
 from can_rig.errors import DbcError
+from can_rig.frames.bus_timing import PeriodicFrame, dbc_timing, latency_ticks, response_times
+from can_rig.frames.frame_length import FrameError, worst_case_bits
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import draft
+from can_rig.scenario.loading import load, load_values
 from tests.helpers import asked, refuses, succeeded
 
 FOREIGN = """VERSION ""
@@ -115,7 +114,7 @@ def test_a_scenario_takes_its_latency_from_the_bus():
     assert load("thesis-step", [*setting, "bus.bitrate=500000", "tick_s=0.002"]).latency_ticks == 1
     scenario = load("thesis-step", [*setting, "bus.compute_s=0.0004"])
     assert latency_ticks(network_of(scenario), 1_000_000, 0.001, 0.0004) == scenario.latency_ticks
-    assert draft("x", scenario.as_dict()).scenario == replace(scenario, name="x")
+    assert load_values("x", scenario.as_dict()) == replace(scenario, name="x")
 
 
 def test_the_command_prints_the_table_and_says_by_its_status_whether_it_fits():

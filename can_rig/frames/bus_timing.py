@@ -45,11 +45,11 @@ from typing import Final, NamedTuple
 
 from cantools.database.can import Message as DbcMessage
 
-from can_rig.assessment.frame_length import CLASSIC_BYTES, FrameBits, worst_case_bits
 from can_rig.errors import DbcError, RigError
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.databases import load_database
 from can_rig.frames.foreign_frames import FD_LENGTHS
+from can_rig.frames.frame_length import CLASSIC_BYTES, FrameBits, worst_case_bits
 from can_rig.frames.network import Network
 
 Seconds = float | Fraction

@@ -10,21 +10,16 @@ import pytest
 from can import Message
 from hypothesis import example, given, strategies as st
 
-from can_rig.assessment.bus_timing import TimingError, latency_ticks, network_timing
-from can_rig.assessment.frame_length import (
-    INTERMISSION_BITS,
-    FrameBits,
-    FrameError,
-    worst_case_bits,
-)
-from can_rig.assessment.resolve import load
+from can_rig.frames.bus_timing import TimingError, latency_ticks, network_timing
 from can_rig.frames.foreign_frames import FD_LENGTHS
+from can_rig.frames.frame_length import INTERMISSION_BITS, FrameBits, FrameError, worst_case_bits
 from can_rig.frames.network import load_network
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import load
 from tests.drawn_frames import frames
 from tests.helpers import DBC, refuses
-from tests.rig.assessment.simulated_bus import simulate
-from tests.rig.assessment.wire import bits_of, classic, flexible
+from tests.rig.frames.simulated_bus import simulate
+from tests.rig.frames.wire import bits_of, classic, flexible
 
 STEER_BY_WIRE = load_network(DBC / "steer_by_wire.dbc")
 US = Fraction(1, 10**6)
