@@ -11,7 +11,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from textwrap import wrap
 from typing import TYPE_CHECKING, TextIO
 
@@ -134,21 +134,14 @@ LONG_S = 1.0
 
 
 class Bar:
-    """A bar with completed count, rate and remaining time.
+    """A bar with completed count, rate and remaining time, which appears after ``after_s``."""
 
-    ``appear`` is called once, after ``after_s`` seconds.
-    """
-
-    def __init__(
-        self, progress: Progress, what: str, unit: str, appear: Callable[[], object], after_s: float
-    ) -> None:
+    def __init__(self, progress: Progress, what: str, unit: str, after_s: float) -> None:
         self._progress = progress
         self._unit = unit
         self._task = progress.add_task(what, total=1.0, count="")
         self._start_s = self._drawn_s = time.monotonic()
-        self._appear: Callable[[], object] | None = appear
         self._after_s = after_s
-        self._appear_in_time(self._start_s)
 
     def count(self, done: int, of: int) -> None:
         """Set the count to ``done`` of a known total."""
@@ -163,15 +156,11 @@ class Bar:
         rate = done / max(now_s - self._start_s, 1e-9)
         text = f"{count} {self._unit}, {rate:,.0f}/s"
         self._progress.update(self._task, completed=share, count=text)
-        self._appear_in_time(now_s)
+        if now_s - self._start_s >= self._after_s:
+            self._progress.start()  # unless the bar is there already
         if now_s - self._drawn_s >= EVERY_S:
             self._drawn_s = now_s
             self._progress.refresh()
-
-    def _appear_in_time(self, now_s: float) -> None:
-        if self._appear is not None and now_s - self._start_s >= self._after_s:
-            self._appear()
-            self._appear = None
 
 
 @contextmanager
@@ -186,8 +175,13 @@ def progress(what: str, unit: str, after_s: float = 0.0) -> Iterator[Bar]:
     )
     quiet = not console.is_terminal
     shown = Progress(*columns, console=console, auto_refresh=False, disable=quiet)
-    with ExitStack() as stack:
-        yield Bar(shown, what, unit, lambda: stack.enter_context(shown), after_s)
+    if not after_s:
+        shown.start()
+    try:
+        yield Bar(shown, what, unit, after_s)
+    finally:
+        if shown.live.is_started:
+            shown.stop()
 
 
 @contextmanager
