@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from can_rig.drawing.names import fault_label, names_of, printed
-from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.law.structs import FloatArray
@@ -93,23 +92,29 @@ def legend_above(axis: Axes, side: Literal["left", "right"] = "right", raised: f
 
 
 def shade_all(axis: Axes, scenario: Scenario | None) -> None:
-    """Shade the times of all faults and disturbances, as far as the scenario is known."""
-    if scenario is None:
-        return
-    for fault in scenario.faults:
-        shade(axis, fault)
-    for disturbance in scenario.disturbances:
-        shade(axis, disturbance)
+    """Shade the times of all faults and disturbances that the axis shows; a line where each begins.
+
+    Without a scenario nothing is known of them.
+    """
+    low, high = axis.get_xlim()
+    for each in () if scenario is None else scenario.spells:
+        start_s = max(low, each.at_s)
+        if each.at_s < high and each.end_s > low:
+            color = SHADE if isinstance(each, FaultSettings) else SKY
+            axis.axvspan(start_s, min(high, each.end_s), color=color, lw=0, zorder=0)
+            axis.axvline(start_s, color=INK, lw=0.8, zorder=1)
 
 
 def mark_faults(axes: Sequence[Axes], scenario: Scenario) -> None:
     """Shade the times, and name each fault above the first panel; several by their numbers."""
     low, high = axes[0].get_xlim()
     several, names = len(scenario.faults) > 1, names_of(scenario.plant)
+    for axis in axes:
+        shade_all(axis, scenario)
     for number, fault in enumerate(scenario.faults, 1):
-        start_s, *_ = [shade(axis, fault) for axis in axes]
-        if start_s is None:
+        if not (fault.at_s < high and fault.end_s > low):
             continue
+        start_s = max(low, fault.at_s)
         late = start_s > low + 0.8 * (high - low)
         axes[0].annotate(
             str(number) if several else fault_label(fault, names),
@@ -121,25 +126,6 @@ def mark_faults(axes: Sequence[Axes], scenario: Scenario) -> None:
             fontsize=9,
             annotation_clip=False,
         )
-    for disturbance in scenario.disturbances:
-        for axis in axes:
-            shade(axis, disturbance)
-
-
-def shade(axis: Axes, fault: FaultSettings | DisturbanceSettings) -> float | None:
-    """Shade the time of ``fault`` as far as the axis shows it, with a line where it begins.
-
-    Returns:
-        Where the shade begins, in s; None if the fault lies outside the axis.
-    """
-    color = SHADE if isinstance(fault, FaultSettings) else SKY
-    low, high = axis.get_xlim()
-    if not (fault.at_s < high and fault.end_s > low):
-        return None
-    start_s = max(low, fault.at_s)
-    axis.axvspan(start_s, min(high, fault.end_s), color=color, lw=0, zorder=0)
-    axis.axvline(start_s, color=INK, lw=0.8, zorder=1)
-    return start_s
 
 
 FAR: Final = 3.0

@@ -42,6 +42,7 @@ class DisturbanceSettings(Spell):
     ``force_n`` on belong to single kinds.
     """
 
+    noun = "disturbance"
     kind: DisturbanceKind
     at_s: Moment = 5.0
     for_s: Annotated[float, Field(gt=0.0, le=MAX_DURATION_S)] | None = None

@@ -108,6 +108,7 @@ class Spell:
     kind: str
     at_s: float
     for_s: float | None
+    noun = "fault"
 
     @property
     def end_s(self) -> float:

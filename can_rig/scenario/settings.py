@@ -475,6 +475,11 @@ class Scenario:
         """The effective disturbances."""
         return tuple(each for each in self.disturbance if each.kind != "none")
 
+    @property
+    def spells(self) -> tuple[Spell, ...]:
+        """The effective faults, then the effective disturbances."""
+        return (*self.faults, *self.disturbances)
+
     @cached_property
     def sensors(self) -> tuple[FurtherSensor, ...]:
         """The further sensors in the order of their frames, whatever their order in the file."""
@@ -521,14 +526,10 @@ class Scenario:
     @property
     def never(self) -> list[str]:
         """The faults and disturbances after the end of the run, a line each."""
-        listed: list[tuple[str, Spell]] = [
-            *(("fault", fault) for fault in self.faults),
-            *(("disturbance", each) for each in self.disturbances),
-        ]
         return [
-            f"the {noun} ({each.kind} at {each.at_s:g} s) never occurs: "
+            f"the {each.noun} ({each.kind} at {each.at_s:g} s) never occurs: "
             f"the run ends at {self.ticks * self.tick_s:g} s"
-            for noun, each in listed
+            for each in self.spells
             if each.span_ns[0] >= self.ticks * self.tick_ns
         ]
 

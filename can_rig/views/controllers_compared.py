@@ -245,9 +245,7 @@ def _error(signals: Signals) -> FloatArray:
 
 
 def _figures(controller: str, case: str, scenario: Scenario, signals: Signals) -> Compared:
-    starts = [fault.at_s for fault in scenario.faults]
-    starts += [each.at_s for each in scenario.disturbances]
-    begin_s = min(starts, default=SETTLED_S)
+    begin_s = min((each.at_s for each in scenario.spells), default=SETTLED_S)
     if begin_s >= signals.time_s[-1]:
         begin_s = 0.5 * signals.time_s[-1]
     after = signals.time_s >= begin_s

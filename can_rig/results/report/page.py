@@ -52,17 +52,19 @@ def _faults(scenario: Scenario, names: Names, end_s: float) -> str:
     words = [fault_in_words(fault, names, end_s) for fault in scenario.faults]
     if len(words) <= 1:
         return "".join(words) or "no fault"
-    lines = [f"{number}: {text}" for number, text in enumerate(words[:MOST_LINES], 1)]
-    if len(words) > MOST_LINES:
-        lines.append(f"and {len(words) - MOST_LINES} more")
-    return "\n".join((f"{len(words)} faults", *lines))
+    lines = [f"{number}: {text}" for number, text in enumerate(words, 1)]
+    return "\n".join((f"{len(words)} faults", *_some(lines)))
 
 
 def _disturbances(scenario: Scenario, end_s: float) -> str:
     """The disturbances in words, a line each."""
-    lines = [disturbance_in_words(each, end_s) for each in scenario.disturbances[:MOST_LINES]]
-    more = len(scenario.disturbances) - len(lines)
-    return "".join(f"\n{line}" for line in (*lines, *([f"and {more} more"] if more else [])))
+    lines = [disturbance_in_words(each, end_s) for each in scenario.disturbances]
+    return "".join(f"\n{line}" for line in _some(lines))
+
+
+def _some(lines: list[str]) -> list[str]:
+    more = len(lines) - MOST_LINES
+    return lines[:MOST_LINES] + [f"and {more} more"] * (more > 0)
 
 
 def _end_s(scenario: Scenario, signals: Signals) -> float:

@@ -23,7 +23,7 @@ from can_rig.results.metrics import Metrics
 from can_rig.results.motion import scene
 from can_rig.results.report.page import apart, compared_with, counterpart, page_title
 from can_rig.results.signals import Signals
-from can_rig.scenario.fault_settings import CHANNELS, Spell
+from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.settings import Scenario, leaves
 from can_rig.storage import paged
 from firmware_model.law.status import Verdict
@@ -128,15 +128,13 @@ def events(scenario: Scenario, network: Network, signals: Signals) -> list[Event
     names = names_of(scenario.plant)
     end_s = float(signals.time_s[-1]) + scenario.tick_s if len(signals) else 0.0
     found: list[Event] = []
-    from_outside: list[tuple[str, Spell, str]] = [
-        *(("fault", each, fault_label(each, names)) for each in scenario.faults),
-        *(("disturbance", each, disturbance_label(each)) for each in scenario.disturbances),
-    ]
-    for noun, each, label in from_outside:
+    labels = [fault_label(each, names) for each in scenario.faults]
+    labels += map(disturbance_label, scenario.disturbances)
+    for each, label in zip(scenario.spells, labels, strict=True):
         if each.at_s < end_s:
-            found.append(Event(each.at_s, f"{noun} begins: {label}"))
+            found.append(Event(each.at_s, f"{each.noun} begins: {label}"))
         if each.end_s < end_s:
-            found.append(Event(each.end_s, f"{noun} ends: {label}"))
+            found.append(Event(each.end_s, f"{each.noun} ends: {label}"))
     found += _changes("mode", signals.time_s, signals.mode, in_small_letters(network.status.modes))
     states = in_small_letters(network.status.fault_states)
     found += _changes("fault state", signals.time_s, signals.fault_state, states)
