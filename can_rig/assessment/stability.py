@@ -18,7 +18,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from itertools import product
+from itertools import islice, product
 from typing import Any, Final
 
 import numpy as np
@@ -239,8 +239,7 @@ class StabilityCheck:
     @property
     def thin_margins(self) -> list[str]:
         """The linear loop's margins below ``budget``, before or after the fault."""
-        ends = zip(_both_ends(self.scenario), (self.healthy, self.faulted), strict=True)
-        return list(thin_margins(self.scenario.budget, ends))
+        return list(thin_margins(self.scenario.budget, islice(self.states, 2)))
 
     @property
     def stable(self) -> bool:

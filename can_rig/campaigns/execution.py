@@ -5,7 +5,7 @@ import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import takewhile
 from pathlib import Path
@@ -140,7 +140,7 @@ def open_folder(path: Path | None, plan: Plan, *, resume: bool, force: bool) -> 
 def _said(plan: Plan) -> dict[str, Any]:
     """Everything that determines the runs."""
     return {
-        "campaign": plan.settings.as_dict(),
+        "campaign": asdict(plan.settings),
         "scenario": {name: base.values for name, base in plan.bases.items()},
         "versions": versions(),
         "files": _digests(plan),
@@ -150,7 +150,7 @@ def _said(plan: Plan) -> dict[str, Any]:
 def _digests(plan: Plan) -> dict[str, str]:
     """Digest of each file that a value of a run names: a module, a library, a CSV, a database."""
     digests = {}
-    settings = plan.settings.as_dict()
+    settings = asdict(plan.settings)
     for text in _texts([base.values for base in plan.bases.values()], settings["axes"],
                        settings["choices"]):  # fmt: skip
         for path in (Path(text), Path(text.partition(":")[2]), module_file(text)):

@@ -237,10 +237,6 @@ class CampaignSettings:
             if not holds:
                 raise ValueError(f"search = {search!r}: must {must}")
 
-    def as_dict(self) -> dict[str, Any]:
-        """Every key and value."""
-        return dataclasses.asdict(self)
-
 
 _ADAPTER: Final = TypeAdapter(CampaignSettings)
 

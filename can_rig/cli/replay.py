@@ -185,17 +185,7 @@ def _open_loop(
 ) -> int:
     """Run a log through today's controller; returns 0 without a difference, else 1.
 
-    Args:
-        source: the log, from its first frame on.
-        later: the log from ``begin_ns`` on, for a comparison within another run of the log.
-        begin_ns: start of the comparison within the recording.
-        gaps: the file of the gaps.
-        force: replace the file of the gaps.
-        as_json: print an object.
-
-    Raises:
-        LogError: the log cannot be read, or has no comparable frame.
-        ScenarioError: the design fails.
+    ``later`` is the log from ``begin_ns`` on, for a comparison within another run of the log.
     """
     if gaps is not None:
         refuse_existing(gaps, force, "--gaps")
@@ -256,11 +246,7 @@ def _recorded_drive(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Run a recorded drive through the firmware, and write and print what came of the drive.
-
-    Raises:
-        LogError, DbcError, ScenarioError: see ``replay_drive`` and ``write``.
-    """
+    """Run a recorded drive through the firmware, and write and print what came of the drive."""
     for path in outs:
         refuse_output(path, force)
     refuse_itself(source.log.path, *outs)
@@ -396,12 +382,9 @@ def _signal_table(signals: Sequence[SignalComparison]) -> Table:
     return rows
 
 
-def _both(place: Place, unit: str) -> tuple[str, str]:
-    shown = [
-        value if isinstance(value, str) else f"{value:.9g} {unit}".rstrip()
-        for value in (place.logged, place.replayed)
-    ]
-    return shown[0], shown[1]
+def _both(place: Place, unit: str) -> Iterator[str]:
+    for value in (place.logged, place.replayed):
+        yield value if isinstance(value, str) else f"{value:.9g} {unit}".rstrip()
 
 
 def _count_table(loop: OpenLoop) -> Table:
@@ -495,12 +478,7 @@ def _speed_of(text: str) -> Fraction | None:
 def _pace(
     path: Path, bus: str, speed: Fraction | None, channel: str | None, window: Window, as_json: bool
 ) -> int:
-    """Put every frame of the log on the bus, for other programs to see; returns the exit status.
-
-    Raises:
-        LogError: the log cannot be read.
-        BusError: the bus is absent, or refuses frames.
-    """
+    """Put every frame of the log on the bus, for other programs to see; returns the exit status."""
     log = read_log(log_path(path), _CHUNK_FRAMES, window)
     stop = StopRequest().on_signals()
     with open_bus(bus) as opened:

@@ -84,13 +84,9 @@ def _with_made_output(scenario: Scenario, network: Network, signals: Signals) ->
 
 def _as_said(signals: Signals) -> Signals:
     """``signals`` with the verdicts of a controller of one's own, whose evidence is not known."""
-    columns = {name: paged.empty(len(signals)) for name in (VERDICT, *EVIDENCE)}
-    for rows in paged.blocks(len(signals)):
-        for column in columns.values():
-            column[rows] = np.nan
-        if signals.verdict is not None:
-            columns[VERDICT][rows] = signals.verdict[rows]
-    return replace(signals, whose_fault=columns)
+    none = paged.column(len(signals), lambda rows: np.full(rows.stop - rows.start, np.nan))
+    said = none if signals.verdict is None else signals.verdict
+    return replace(signals, whose_fault={VERDICT: said, **dict.fromkeys(EVIDENCE, none)})
 
 
 def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Signals:

@@ -2,9 +2,8 @@
 
 import json
 import platform
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
@@ -118,7 +117,7 @@ def finish(
         **asdict(outcome),
         "ticks_per_s": outcome.ticks_per_s,
         "real_time_factor": outcome.ticks_per_s * scenario.tick_s,
-        "versions": {"python": platform.python_version(), **_versions()},
+        "versions": {"python": platform.python_version()} | {p: version(p) for p in PACKAGES},
     }
     if outcome.realtime is None:
         del summary["realtime"]
@@ -180,12 +179,3 @@ def signals_of_log(
     """The signals of a run, read from the log."""
     in_time_ticks = 1 if realtime is None else scenario.latency_ticks
     return read_signals(log_of(folder), network, scenario.tick_s, in_time_ticks)
-
-
-def _versions() -> dict[str, str]:
-    """The versions of the installed packages; packages of an extra may be missing."""
-    found = {}
-    for package in PACKAGES:
-        with suppress(PackageNotFoundError):
-            found[package] = version(package)
-    return found

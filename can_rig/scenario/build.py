@@ -123,9 +123,7 @@ def dbc_of(scenario: Scenario) -> Path:
     return Path(chosen.dbc) if own else shipped_dbc(scenario.dbc)
 
 
-@cache
-def _network(dbc: Path, says_speed: bool, sensors: tuple[str, ...]) -> Network:
-    return load_network(dbc, says_speed, sensors)
+_network = cache(load_network)
 
 
 def but_for_noise(settings: PlantSettings, *others: object) -> tuple[object, ...]:

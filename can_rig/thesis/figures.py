@@ -30,18 +30,16 @@ MAX_MARKERS = 50  # largest number of samples with a marker each
 LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 9, "handlelength": 3.2}
 
 
-def draw_figures(folder: Path, comparisons: Sequence[Comparison], force: bool) -> list[Path]:
+def draw_figures(folder: Path, comparisons: Sequence[Comparison], force: bool) -> None:
     """Write ``fig-2.2.png`` and the other figures to ``folder``, for print.
 
     Raises:
         LogError: a figure exists without ``force``, or cannot be written.
     """
     refuse_existing(folder, force, [comparison.figure for comparison in comparisons])
-    paths = [folder / f"fig-{comparison.figure}.png" for comparison in comparisons]
-    for path, comparison in zip(paths, comparisons, strict=True):
-        with files.atomic(path, force=force) as part:
+    for comparison in comparisons:
+        with files.atomic(folder / f"fig-{comparison.figure}.png", force=force) as part:
             _draw(part, comparison)
-    return paths
 
 
 def refuse_existing(folder: Path, force: bool, names: Iterable[str] = MAKERS) -> None:

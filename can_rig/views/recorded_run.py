@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import difflib
 import html
 import io
 import json
@@ -15,7 +14,14 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, Final
 
-from can_rig.errors import LogError, RigError, RunFolderError, ScenarioError, in_python
+from can_rig.errors import (
+    LogError,
+    RigError,
+    RunFolderError,
+    ScenarioError,
+    did_you_mean,
+    in_python,
+)
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.results.execution import Options, execute, refuse
 from can_rig.results.metrics import Metrics, rows
@@ -79,8 +85,9 @@ class RecordedRun:
             RigError: no such metric, or a metric in words.
         """
         if name not in self.metrics:
-            near = difflib.get_close_matches(name, self.metrics, n=1, cutoff=0.0)
-            raise RigError(f"metric {name}: no such metric; did you mean {near[0]}?")
+            raise RigError(
+                f"metric {name}: no such metric; {did_you_mean(name, self.metrics, '', 0.0)}"
+            )
         value = self.metrics[name]
         if isinstance(value, str):
             raise RigError(f"metric {name} = {value!r}: must be a metric that is a number")

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.drawing.names import CAR, OF_SIGNALS, Names, column_names, in_words, names_of
+from can_rig.drawing.names import OF_SIGNALS, column_names, in_words, names_of
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.columns import EVIDENCE_OF, ON_THE_BUS, VERDICT
 from can_rig.logs.compression import open_text, stored
@@ -24,6 +24,7 @@ from can_rig.results.signals import Signals, cell, signals_of, with_plant_signal
 from can_rig.results.source import log_path
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import load_run
+from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from can_rig.storage import paged
 from firmware_model.law.structs import FloatArray
@@ -79,25 +80,12 @@ class SignalTable:
 
     def name_and_unit(self, column: str) -> tuple[str, str]:
         """Printed name and unit of a column; "" without a unit."""
-        other = in_words(column)
-        if self.scenario is None:
-            return COLUMNS_OF_CAR.get(column, other)
-        printed = _columns(names_of(self.scenario.plant))
-        names = column_names(self.scenario.plant)
-        return ({names[each]: words for each, words in printed.items()} | printed).get(
-            column, other
-        )
-
-
-def _columns(names: Names) -> dict[str, tuple[str, str]]:
-    """Printed name and unit of each column with a signal of the plant."""
-    return {
-        column: (words.format(names[of].name), names[of].unit)
-        for column, (of, _, words) in OF_SIGNALS.items()
-    }
-
-
-COLUMNS_OF_CAR: Final = _columns(CAR)
+        plant = PlantSettings() if self.scenario is None else self.scenario.plant
+        names, in_file = names_of(plant), column_names(plant)
+        for of_car, (of, _, words) in OF_SIGNALS.items():
+            if column in (of_car, in_file[of_car]):
+                return words.format(names[of].name), names[of].unit
+        return in_words(column)
 
 
 def titles(a: SignalTable, b: SignalTable) -> tuple[str, str]:
