@@ -46,16 +46,12 @@ def _blocks(folder: Path) -> Iterator[str]:
                 yield f"{BLOCKS}/{path.name}"
 
 
-def _own(folder: Path) -> Iterator[str]:
-    yield from _blocks(folder)
-    yield from (BLOCKS, PLAN, TABLE, SUMMARY, PICTURE, PAGE)
-
-
-def _recorded(folder: Path) -> bool:
-    return (folder / TABLE).exists() or any(_blocks(folder))
-
-
-CAMPAIGN_FOLDER: Final = Kind("the folder of a campaign", PLAN, _own, _recorded)
+CAMPAIGN_FOLDER: Final = Kind(
+    "the folder of a campaign",
+    PLAN,
+    own=lambda folder: [*_blocks(folder), BLOCKS, PLAN, TABLE, SUMMARY, PICTURE, PAGE],
+    recorded=lambda folder: (folder / TABLE).exists() or any(_blocks(folder)),
+)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import click
 from can_rig.assessment.network_notes import frame_notes
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import json_line, say, show, table
-from can_rig.frames.bus_timing import BusTiming, FrameTiming, dbc_timing, network_timing
+from can_rig.frames.bus_timing import BusTiming, dbc_timing, network_timing
 from can_rig.plant.protocol import load_plant
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import LATENCY, load
@@ -95,9 +95,10 @@ def as_dict(timing: BusTiming) -> dict[str, Any]:
 def table_rows(timing: BusTiming) -> Iterator[tuple[str, ...]]:
     """One row a frame, with the columns of `COLUMNS`; times in µs."""
     for frame in timing.frames:
+        digits = 8 if frame.extended else 3
         times = (frame.transmission_s, frame.release_s, frame.response_s, frame.arrival_s)
         row = [NO_BOUND if t is None else f"{float(t) * 1e6:.1f}" for t in (*times, frame.slack_s)]
-        yield (frame.name, _identifier(frame), str(frame.bits), *row)
+        yield frame.name, f"0x{frame.frame_id:0{digits}X}", str(frame.bits), *row
 
 
 def _print(timing: BusTiming, tick_s: float | None) -> None:
@@ -113,13 +114,6 @@ def _print(timing: BusTiming, tick_s: float | None) -> None:
         say(f"latency_ticks = {timing.latency_ticks} at a tick of {tick_s * 1e3:g} ms")
     if timing.left_out:
         say(f"left out: {', '.join(timing.left_out)}")
-    say("every frame meets its deadline" if timing.schedulable else _late(timing))
-
-
-def _late(timing: BusTiming) -> str:
     late = [f.name for f in timing.frames if f.slack_s is None or f.slack_s < 0]
-    return f"not schedulable: {', '.join(late)} may miss the deadline"
-
-
-def _identifier(frame: FrameTiming) -> str:
-    return f"0x{frame.frame_id:08X}" if frame.extended else f"0x{frame.frame_id:03X}"
+    missed = f"not schedulable: {', '.join(late)} may miss the deadline"
+    say(missed if late else "every frame meets its deadline")

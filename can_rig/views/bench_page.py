@@ -45,7 +45,8 @@ def recording_of_run(scenario: Scenario, network: Network, signals: Signals, log
     names = names_of(scenario.plant)
     of, shown = recording(scenario, network, signals), table_of(signals, "", scenario)
     of.height = 0
-    of.charts[:] = [chart for chart in of.charts if len(of.charts) < 6 or not _of_state(of, chart)]
+    states = {each.key for each, _ in of.curves if each.words and len(of.charts) >= 6}
+    of.charts[:] = [chart for chart in of.charts if chart.keys[0] not in states]
     looks = {each.key: each for each in curves_of(names, network, 0.0)}
     for key in EVIDENCE:
         if key in signals.whose_fault:
@@ -64,10 +65,6 @@ def recording_of_run(scenario: Scenario, network: Network, signals: Signals, log
             break
     of.frames = collected.for_page()
     return of
-
-
-def _of_state(of: Recording, chart: Chart) -> bool:
-    return any(each.key == chart.keys[0] and each.words for each, _ in of.curves)
 
 
 def recording_of_log(

@@ -66,7 +66,8 @@ def picture(found: Tunings) -> Figure:
     output, _, second = names_of(scenario.plant)
     unit = f" in {second.unit}" if second.unit else ""
     per = "" if scenario.model.sensor.noise_mps2 else f" per {output.unit or 1} of noise in "
-    axis.set_xlabel(f"noise in {_drawn(second.short)}, rms{unit}{per and per + output.name}")
+    drawn = second.short.replace("X_diff", "$X_{diff}$")
+    axis.set_xlabel(f"noise in {drawn}, rms{unit}{per and per + output.name}")
     axis.set_ylabel(with_unit("deviation after the loss, peak in", output.unit or "1"))
     axis.grid(alpha=0.35, lw=0.5)
     axis.legend(frameon=True, framealpha=0.9, edgecolor="none", fontsize=8, loc="upper right")
@@ -77,10 +78,6 @@ def picture(found: Tunings) -> Figure:
         fontsize=9,
     )
     return figure
-
-
-def _drawn(name: str) -> str:
-    return "$X_{diff}$" if name == "X_diff" else name
 
 
 ROW_RATIO = 1.6  # factor in peak or noise between successive rows
@@ -118,10 +115,12 @@ def why(found: Tunings) -> str:
         second = names_of(found.scenario.plant).command_2
         size = with_unit(f"{limit:g}", second.unit)
         reason += f", all within {size} rms of {second.short} noise"
+    cars = f"the nominal {found.scenario.plant.noun}"
+    cars += f" and {found.cars - 1} around it" if found.cars > 1 else ""
     held = "" if chosen.within_limits else "; its commands reach the limits, as all of these do"
     return (
         f"{reason}, stable with {ticks_text(found.spare_ticks)} to spare, healthy and with "
-        f"{names_of(found.scenario.plant).command_1.said} lost, for {_cars(found)}{held}"
+        f"{names_of(found.scenario.plant).command_1.said} lost, for {cars}{held}"
     )
 
 
@@ -191,8 +190,3 @@ def _values(tuning: Tuning) -> dict[str, Any]:
         "delay_margin_is_at_least": margin is not None and margin >= MAX_DELAY_TICKS,
         "peak_ratio": tuning.peak_ratio,
     }
-
-
-def _cars(found: Tunings) -> str:
-    nominal = f"the nominal {found.scenario.plant.noun}"
-    return nominal if found.cars == 1 else f"{nominal} and {found.cars - 1} around it"

@@ -194,11 +194,13 @@ def web_page(
         *recorded(recording(scenario, network, signals)),
         "<h2>Metrics</h2>",
         table(("metric", "value", "unit", "key in run.json"), _in_units(_known(values), names)),
-        *_of_faults(faults, names),
-        "<details><summary>Scenario</summary>",
-        table(("key", "value"), _settings(said)),
-        "</details>",
     ]
+    for number, fault in enumerate(faults, 1):
+        heads = ("fault", "value", "unit", "key in run.json")
+        parts += [f"<h2>Fault {number}</h2>", table(heads, _in_units(_known(fault), names))]
+    settings = ((k, Code(v) if isinstance(v, str) else v) for k, v in _known(leaves(said)))
+    parts += ["<details><summary>Scenario</summary>", table(("key", "value"), settings)]
+    parts.append("</details>")
     return page(title, parts, STYLE)
 
 
@@ -208,26 +210,10 @@ def _in_units(
     """Name, value, unit of the plant, and key of each metric."""
     for key, value in values:
         words, unit = metric_in_words(key, names)
-        shown = in_words(Verdict[value], names) if key == "verdict" else _words(value)
+        shown = ("no", "yes")[value] if isinstance(value, bool) else value
+        shown = in_words(Verdict[value], names) if key == "verdict" else shown
         shown = names.at(value).name if key == "place" and value in CHANNELS else shown
         yield words, shown, unit, Code(key)
-
-
-def _words(value: Any) -> Any:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return value
-
-
-def _of_faults(faults: list[dict[str, Any]], names: Names) -> Iterator[str]:
-    for number, fault in enumerate(faults, 1):
-        yield f"<h2>Fault {number}</h2>"
-        yield table(("fault", "value", "unit", "key in run.json"), _in_units(_known(fault), names))
-
-
-def _settings(scenario: Scenario) -> Iterator[tuple[str, Any]]:
-    for key, value in _known(leaves(scenario)):
-        yield key, Code(value) if isinstance(value, str) else value
 
 
 def _known(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
