@@ -9,7 +9,7 @@ from click.shell_completion import CompletionItem
 
 from can_rig.assessment.stability import finite_or_null
 from can_rig.cli.options import force_option, json_option, out_option, set_option
-from can_rig.cli.output import WIDE, counting, json_line, note, say, show, table
+from can_rig.cli.output import WIDE, json_line, note, progress, say, show, table
 from can_rig.errors import ScenarioError
 from can_rig.scenario.loading import change, load
 from can_rig.storage.files import refuse_picture
@@ -63,11 +63,10 @@ def command(
     if out is not None:
         refuse_picture(out, force)
     cases = _cases(groups, own)
-    with counting("compare", "runs", len(cases) * len(controllers)) as on_run:
+    with progress("compare", "runs") as bar:
         found = compare(
-            controllers, lambda own: load(scenario, [*settings, *own]), cases,
-            lambda done, _: on_run(done),
-        )  # fmt: skip
+            controllers, lambda own: load(scenario, [*settings, *own]), cases, bar.count
+        )
     if out is not None:
         found.draw(out, force=force)
     failed = any(row.failure for row in found.rows)

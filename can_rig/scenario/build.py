@@ -13,7 +13,7 @@ from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network, load_network
 from can_rig.scenario.box import in_box, uncertain
 from can_rig.scenario.log_signals import OF_SENSORS, LogSignal, terms, unit_factor
-from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.plant_settings import PlantSettings, or_infinite
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.sensor_settings import ECHOES, LATERAL_ACCELERATION, YAW_RATE, FurtherSensor
 from can_rig.scenario.settings import Scenario, made_noise
@@ -220,15 +220,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
     Without a network, commands are neither limited nor rounded.
     """
     chosen, limits = scenario.design, scenario.limits
-    limit_1, limit_2, rate_1, rate_2 = (
-        math.inf if limit is None else limit
-        for limit in (
-            limits.torque_nm,
-            limits.force_difference_n,
-            limits.torque_rate_nm_per_s,
-            limits.force_difference_rate_n_per_s,
-        )
-    )
+    limit_1, limit_2 = or_infinite(limits.torque_nm), or_infinite(limits.force_difference_n)
     sensor, lsb, lsb_1, lsb_2 = scenario.model.sensor, 0.0, 0.0, 0.0
     noise, step = sensor.noise_mps2, sensor.resolution_mps2
     if sensor.is_made:
@@ -244,8 +236,8 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         estimator=chosen.estimator,
         limit_1=limit_1,
         limit_2=limit_2,
-        rate_1=rate_1,
-        rate_2=rate_2,
+        rate_1=or_infinite(limits.torque_rate_nm_per_s),
+        rate_2=or_infinite(limits.force_difference_rate_n_per_s),
         reference_acceleration=reference_acceleration(scenario),
         lsb_1=lsb_1,
         lsb_2=lsb_2,
@@ -328,7 +320,7 @@ def reference_acceleration(scenario: Scenario) -> float:
     g1 = continuous_car(scenario.model).g1
     if not scenario.design.feedback or g1.relative_degree != SHAPED:  # this C never uses r̈
         return math.inf
-    torque = math.inf if limits.torque_nm is None else limits.torque_nm
+    torque = or_infinite(limits.torque_nm)
     if limits.torque_rate_nm_per_s is not None:
         torque = min(torque, limits.torque_rate_nm_per_s * scenario.design.tau_q_s)
     return GOVERNED * torque * abs(g1.gain)

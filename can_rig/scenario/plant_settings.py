@@ -77,7 +77,7 @@ class TorqueActuator(ActuatorLag):
     @property
     def limits(self) -> tuple[float, float]:
         """Largest magnitude and rate of the motor's output."""
-        return _or_none(self.limit_nm), _or_none(self.rate_nm_per_s)
+        return or_infinite(self.limit_nm), or_infinite(self.rate_nm_per_s)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -90,7 +90,7 @@ class ForceDifferenceActuator(ActuatorLag):
     @property
     def limits(self) -> tuple[float, float]:
         """Largest magnitude and rate of the drives' output."""
-        return _or_none(self.limit_n), _or_none(self.rate_n_per_s)
+        return or_infinite(self.limit_n), or_infinite(self.rate_n_per_s)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -119,7 +119,8 @@ class SensorSettings:
         return Stage(self.lag_s, dead_time_s=self.dead_time_s)
 
 
-def _or_none(limit: float | None) -> float:
+def or_infinite(limit: float | None) -> float:
+    """A limit; infinite where there is none."""
     return math.inf if limit is None else limit
 
 
