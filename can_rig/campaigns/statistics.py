@@ -184,6 +184,8 @@ def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> 
     if len(required) > 1:
         rates.append(rate("all", "all of them", _together(list(verdicts.values()))))
     axes = {key: columns[key] for key in names}
+    searched = everything[margin_column(plan)][: plan.searched]
+    ways = (SEARCH, searched), (RANDOM, columns[margin_column(plan)])
     return Summary(
         runs=len(everything["run"]),
         failed=sum(reasons.values()),
@@ -197,7 +199,7 @@ def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> 
             name: {key: explained(values, numbers(columns[name])) for key, values in axes.items()}
             for name in (*shown, "margin")
         },
-        found=found_by(plan, everything),
+        found=[found(how, some) for how, some in ways] if plan.searched else [],
         tables=[cross(name, plan.settings, required, columns) for name in plan.settings.tables],
     )
 
@@ -266,14 +268,6 @@ def _in_order(
         if name not in first or (value is not None and value < first[name]):
             first[name] = value
     return sorted(first, key=lambda name: (name == NO_VALUE, first[name]))
-
-
-def found_by(plan: Plan, columns: Columns) -> list[Found]:
-    """The results of the search and of the random runs; empty without a search."""
-    if not plan.searched:
-        return []
-    margins = columns[margin_column(plan)]
-    return [found(SEARCH, margins[: plan.searched]), found(RANDOM, margins[plan.searched :])]
 
 
 def margin_column(plan: Plan) -> str:
