@@ -25,7 +25,7 @@ ARGUMENTS: Final = {
     "--set ": "",
     "--tolerance ": "tolerances: ",
     "--from": "from_s",
-    "--to ": "to_s ",
+    "--to": "to_s",
 }
 """Python's argument names for options of the command line."""
 
