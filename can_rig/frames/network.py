@@ -36,6 +36,14 @@ _HEADER: Final = {"Checksum": (0, 8), "AliveCounter": (8, 4), "Tick": (16, 16)} 
 _STATUS: Final = ("Mode", "FaultState")
 _STATUS_STARTS: Final = (12, 14)  # two bits each, in either order
 _VERDICT: Final = (32, VERDICT_BITS)
+_WORDED: Final = {
+    **dict.fromkeys(_STATUS, (set(range(4)), "0, 1, 2 and 3")),
+    "Verdict": (
+        {*map(int, Verdict), NO_DECISION, NO_VERDICT},
+        f"0 to {max(Verdict)}, {NO_DECISION} and {NO_VERDICT}",
+    ),
+}
+"""The numbers that must have words, by signal."""
 _VALUE: Final = (32, 32)
 _VALUE_OVER_VERDICT: Final = (36, 28)
 _VALID: Final = (8 + VALID_SHIFT, 1)
@@ -269,18 +277,20 @@ def require_layout(message: Message, role: str, where: str, is_witness: bool = F
     if len(message.senders) != 1:
         raise DbcError(f"{where}: {len(message.senders)} senders; it must have one")
     signals = {signal.name: signal for signal in message.signals}
-    for name, place in _HEADER.items():
-        _require_plain(signals.pop(name, None), name, place, where)
+    plain, place = dict(_HEADER), _VALUE
     if role == "status":
-        _require_status(signals, where)
-    place = _VALUE
-    if role == "status" and says_verdict(message):
-        _require_verdict(signals.pop("Verdict"), where)
-        place = _VALUE_OVER_VERDICT
+        for name in _STATUS:
+            start = signals[name].start if name in signals else 0
+            plain[name] = (start if start in _STATUS_STARTS else _STATUS_STARTS[0], 2)
+        if says_verdict(message):
+            plain["Verdict"], place = _VERDICT, _VALUE_OVER_VERDICT
     if is_witness:
-        _require_plain(signals.pop("Valid", None), "Valid", _VALID, where)
-        _require_plain(signals.pop("SampleTick", None), "SampleTick", _SAMPLE_TICK, where)
+        plain |= {"Valid": _VALID, "SampleTick": _SAMPLE_TICK}
         place = _VALUE_OVER_SAMPLE_TICK
+    for name, its in plain.items():
+        _require_plain(signals.pop(name, None), name, its, where)
+    if role == "status" and plain["Mode"] == plain["FaultState"]:
+        raise DbcError(f"{where}: Mode and FaultState overlap; they must be at bits 12 and 14")
     if len(signals) != 1:
         raise DbcError(
             f"{where}: signals {sorted(signals)} in addition to the header; "
@@ -290,7 +300,7 @@ def require_layout(message: Message, role: str, where: str, is_witness: bool = F
 
 
 def _require_plain(signal: Signal | None, name: str, place: tuple[int, int], where: str) -> None:
-    """Require an unsigned, unscaled signal at its place."""
+    """Require an unsigned, unscaled signal at its place, with its words."""
     wanted = f"it must be unsigned Intel, {place[1]} bits at bit {place[0]}, factor 1, offset 0"
     if signal is None:
         raise DbcError(f"{where}: no signal {name}; {wanted}")
@@ -301,30 +311,9 @@ def _require_plain(signal: Signal | None, name: str, place: tuple[int, int], whe
         or (signal.scale, signal.offset) != (1, 0)
     ):
         raise DbcError(f"{where}: signal {name} is {_describe(signal)}; {wanted}")
-
-
-def _require_status(signals: dict[str, Signal], where: str) -> None:
-    """Check the place of Mode and FaultState, the high nibble of byte 1, and remove both."""
-    starts = []
-    for name in _STATUS:
-        signal = signals.pop(name, None)
-        start = signal.start if signal and signal.start in _STATUS_STARTS else _STATUS_STARTS[0]
-        _require_plain(signal, name, (start, 2), where)
-        if signal is None or set(signal.choices or ()) != set(range(4)):
-            raise DbcError(f"{where}: signal {name} must have a value table of 0, 1, 2 and 3")
-        starts.append(start)
-    if len(set(starts)) != len(starts):
-        raise DbcError(f"{where}: Mode and FaultState overlap; they must be at bits 12 and 14")
-
-
-def _require_verdict(signal: Signal, where: str) -> None:
-    """Refuse a verdict at another place, or with unnamed verdicts."""
-    _require_plain(signal, "Verdict", _VERDICT, where)
-    if set(signal.choices or ()) != {*map(int, Verdict), NO_DECISION, NO_VERDICT}:
-        raise DbcError(
-            f"{where}: signal Verdict must have a value table of 0 to {max(Verdict)}, "
-            f"{NO_DECISION} and {NO_VERDICT}"
-        )
+    values, said = _WORDED.get(name, (None, ""))
+    if values is not None and set(signal.choices or ()) != values:
+        raise DbcError(f"{where}: signal {name} must have a value table of {said}")
 
 
 def _require_value(signal: Signal, place: tuple[int, int], where: str) -> None:
