@@ -25,6 +25,9 @@ CLEARS: Final = {"CLEAR_ALL": ALL, "CLEAR_WORLD": WORLD}
 OF_FAULTS: Final = ("actuator-", "sensor-", "frames-")
 """How the kind of a fault begins; every other kind is a disturbance's."""
 
+PROTECTION: Final = ("Checksum", "AliveCounter")
+"""The first signals of a protected frame."""
+
 SHORTEST_S: Final = 0.1
 LONGEST_S: Final = 25.5
 """Longest time of a fault with a set end."""
@@ -173,16 +176,8 @@ def _read_command(name: str, message: Message) -> tuple[int, Command] | None:
 
 
 def state_message(state: State, counter: int) -> Message:
-    """The frame of ``state``."""
-    data = {
-        "Injectable": state.injectable,
-        "Paused": state.paused,
-        "NextSequence": state.next_sequence,
-        "LastChecksum": state.last_checksum,
-        "Refused": min(state.refused, 65535),
-        "Pace": min(state.pace, 655.35),
-    }
-    return protected(_message("RIG_STATE"), data, counter % COUNTERS)
+    """The frame of ``state``; values saturate."""
+    return protected(_message("RIG_STATE"), _saturated("RIG_STATE", state), counter % COUNTERS)
 
 
 def read_state(message: Message) -> State | None:
@@ -190,19 +185,12 @@ def read_state(message: Message) -> State | None:
     said = intact(_message("RIG_STATE"), message)
     if said is None:
         return None
-    numbers = {name: float(value) for name, value in said.items()}
-    return State(
-        bool(numbers["Injectable"]),
-        bool(numbers["Paused"]),
-        int(numbers["NextSequence"]),
-        int(numbers["LastChecksum"]),
-        int(numbers["Refused"]),
-        numbers["Pace"],
-    )
+    _, _, injectable, paused, number, checksum, refused, pace = map(float, said.values())
+    return State(bool(injectable), bool(paused), int(number), int(checksum), int(refused), pace)
 
 
 def applied_message(applied_1: float, applied_2: float) -> Message:
-    """The frame of both actuators' applied values."""
+    """The frame of both actuators' applied values; they saturate."""
     return _plain("RIG_APPLIED", (applied_1, applied_2))
 
 
@@ -223,11 +211,7 @@ class Motion(NamedTuple):
 
 def motion_message(motion: Motion) -> Message:
     """The frame of ``motion``; values saturate."""
-    signals = _message("RIG_MOTION").signals
-    return _plain("RIG_MOTION", [
-        min(max(value, float(signal.minimum or 0)), float(signal.maximum or 0))
-        for signal, value in zip(signals, motion, strict=True)
-    ])  # fmt: skip
+    return _plain("RIG_MOTION", motion)
 
 
 def read_motion(message: Message) -> Motion | None:
@@ -239,9 +223,17 @@ def read_motion(message: Message) -> Motion | None:
 def _plain(name: str, values: Sequence[float]) -> Message:
     """A frame without protection, of the values of its signals."""
     frame = _message(name)
-    said = {signal.name: value for signal, value in zip(frame.signals, values, strict=True)}
-    data = frame.encode(said, strict=False)
+    data = frame.encode(_saturated(name, values), strict=False)
     return Message(arbitration_id=frame.frame_id, is_extended_id=False, data=data)
+
+
+def _saturated(name: str, values: Sequence[float]) -> dict[str, float]:
+    """The values of a frame's own signals, by name, each within its signal's range."""
+    own = [each for each in _message(name).signals if each.name not in PROTECTION]
+    return {
+        signal.name: min(max(value, float(signal.minimum or 0)), float(signal.maximum or 0))
+        for signal, value in zip(own, values, strict=True)
+    }
 
 
 def _read_plain(name: str, message: Message) -> tuple[float, ...] | None:
@@ -253,7 +245,7 @@ def _read_plain(name: str, message: Message) -> tuple[float, ...] | None:
 
 def protected(frame: DbcMessage, data: Mapping[str, float | str], counter: int) -> Message:
     """A frame of these signals, with the alive counter and the checksum of E2E profile 1."""
-    every = {"Checksum": 0, "AliveCounter": 0, **data}
+    every = {**dict.fromkeys(PROTECTION, 0), **data}
     content = bytearray(frame.encode(every, strict=False))
     content[1] = (content[1] & 0xF0) | (counter - 1) % COUNTERS  # the library counts on
     e2e_p01_protect(content, _data_id(frame))
