@@ -123,11 +123,29 @@ def write_fmus(model: Model, folder: Path, force: bool) -> list[Path]:
         ExportError: no compiler, or a folder that cannot be made.
         LogError: a file exists and ``force`` is not given, or a file cannot be written.
     """
-    sources, token = _sources(model)
+    name, (sources, token) = model.name, _sources(model)
     library = built(host_compiler(), (*FLAGS, "-fvisibility=hidden"), sources, ".so").read_bytes()
-    return [
-        _write(version, model, token, sources, library, folder, force) for version in model.versions
-    ]
+    places = {"2": "linux64", "3": f"{platform.machine()}-linux"}
+    paths = []
+    for version in model.versions:
+        path = folder / f"fmi{version}" / f"{name}.fmu"
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ExportError(f"{path.parent}: cannot be made: {error.strerror}") from None
+        contents: dict[str, str | bytes] = {
+            "modelDescription.xml": _description(version, model, token, sources),
+            **{f"sources/{file}": text for file, text in sorted(sources.items())},
+            f"binaries/{places[version]}/{name}.so": library,
+            **model.files,
+        }
+        if version == "3":
+            contents["sources/buildDescription.xml"] = _build_description(name, sources)
+        with atomic(path, force=force) as part, zipfile.ZipFile(part, "w") as fmu:
+            for file, content in contents.items():
+                fmu.writestr(zipfile.ZipInfo(file, FIRST_DAY), content, zipfile.ZIP_DEFLATED)
+        paths.append(path)
+    return paths
 
 
 def _sources(model: Model) -> tuple[dict[str, str], str]:
@@ -155,36 +173,6 @@ def _sources(model: Model) -> tuple[dict[str, str], str]:
     names = ("fmu.h", "fmu.c", *(f"fmi{version}.c" for version in model.versions))
     wrapper = {name: support(name, model.parts, **texts) for name in names}
     return {**model.sources, **wrapper}, texts["token"]
-
-
-def _write(
-    version: str,
-    model: Model,
-    token: str,
-    sources: Mapping[str, str],
-    library: bytes,
-    folder: Path,
-    force: bool,
-) -> Path:
-    name = model.name
-    path = folder / f"fmi{version}" / f"{name}.fmu"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ExportError(f"{path.parent}: cannot be made: {error.strerror}") from None
-    place = {"2": "linux64", "3": f"{platform.machine()}-linux"}
-    contents: dict[str, str | bytes] = {
-        "modelDescription.xml": _description(version, model, token, sources),
-        **{f"sources/{file}": text for file, text in sorted(sources.items())},
-        f"binaries/{place[version]}/{name}.so": library,
-        **model.files,
-    }
-    if version == "3":
-        contents["sources/buildDescription.xml"] = _build_description(name, sources)
-    with atomic(path, force=force) as part, zipfile.ZipFile(part, "w") as fmu:
-        for file, content in contents.items():
-            fmu.writestr(zipfile.ZipInfo(file, FIRST_DAY), content, zipfile.ZIP_DEFLATED)
-    return path
 
 
 def _description(version: str, model: Model, token: str, sources: Collection[str]) -> str:
