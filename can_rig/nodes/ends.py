@@ -247,6 +247,9 @@ class ControllerEnd:
         self.reference = Receiver(network.reference)
         self.feedback = Receiver(network.feedback)
         self.speed = None if network.speed is None else Receiver(network.speed)
+        both = (self.reference, self.feedback)
+        self._receivers = both if self.speed is None else (self.speed, *both)
+        self._by_id = {each.codec.frame_id: each for each in self._receivers}
         self.witnesses = self._powered_up()
         """Those of the further sensors."""
         self._commands = (Transmitter(network.command_1), Transmitter(network.command_2))
@@ -281,14 +284,9 @@ class ControllerEnd:
         """The status, which closes ``tick``."""
         self._send(self._status.frame(status.fault_estimate, tick, *status[1:]))
 
-    def is_speed(self, message: can.Message) -> bool:
-        """Whether ``message`` is a speed frame; False on a network without speed frames."""
-        return self.speed is not None and message.arbitration_id == self.speed.codec.frame_id
-
-    def speed_of(self, message: can.Message, tick: int | None) -> Record | None:
-        """The content of a frame of the speed; see ``Receiver.accept``."""
-        assert self.speed is not None
-        return self.speed.accept(message, tick)
+    def receiver_of(self, message: can.Message) -> Receiver | None:
+        """The receiver of a frame of every tick; None: another frame."""
+        return self._by_id.get(message.arbitration_id)
 
     def end_tick(self) -> None:
         """No more of this tick comes."""
@@ -300,8 +298,3 @@ class ControllerEnd:
         receivers = (*self._receivers, *self.witnesses.receivers)
         now = {receiver.codec.name: receiver.rejected for receiver in receivers}
         return all_rejected(self._rejected, now)
-
-    @property
-    def _receivers(self) -> tuple[Receiver, ...]:
-        both = (self.reference, self.feedback)
-        return both if self.speed is None else (self.speed, *both)

@@ -61,7 +61,6 @@ class PlantNode:
         recorder: gets every frame sent or received; None records nothing.
         reports: gets the plant's report of every tick; None records nothing.
         interaction: permitted commands during the run.
-        clock: the time, for a run with interaction.
         local: the bus behind ``send``, for frames as bursts; None: frame by frame.
 
     Raises:
@@ -77,7 +76,6 @@ class PlantNode:
         recorder: Recorder | None = None,
         reports: PlantRecorder | None = None,
         interaction: Interaction = UNTOUCHED,
-        clock: Clock = SYSTEM_CLOCK,
         local: LocalBus | None = None,
     ) -> None:
         require_ticks(scenario, network)
@@ -89,7 +87,7 @@ class PlantNode:
         self._end = PlantEnd(
             scenario, network, send, recorder, reports, interaction.injectable, local
         )
-        self._control = RunControl(interaction, scenario, self._end, send, clock)
+        self._control = RunControl(interaction, scenario, self._end, send, SYSTEM_CLOCK)
 
     def carry(
         self, watchdog: Watchdog, tick: int, answer: Callable[[], object] | None = None
@@ -381,19 +379,20 @@ class ControllerNode(AnsweringNode):
         """See ``AnsweringNode``."""
         if self._expected is None and not self._first_contact(message):
             return False
-        if self._end.is_speed(message):  # without such a frame the controller keeps the last speed
-            record = self._end.speed_of(message, self._expected)
-            self._speed_now = self._speed_now if record is None else record.value
-        elif self._end.witnesses.concerns(message):
+        receiver = self._end.receiver_of(message)
+        if receiver is None:
             self._end.witnesses.take(message, self._expected)
-        elif message.arbitration_id == self._end.reference.codec.frame_id:
-            record = self._end.reference.accept(message, self._expected)
-            self._reference_now = record or self._reference_now
-        elif message.arbitration_id == self._end.feedback.codec.frame_id:
-            record = self._end.feedback.accept(message, self._expected)
-            if record is not None:
-                self._answer(record.tick, record.value)
-                return True
+            return False
+        record = receiver.accept(message, self._expected)
+        if record is None:  # without a frame of the speed the controller keeps the last speed
+            return False
+        if receiver is self._end.feedback:
+            self._answer(record.tick, record.value)
+            return True
+        if receiver is self._end.reference:
+            self._reference_now = record
+        else:
+            self._speed_now = record.value
         return False
 
     def _first_contact(self, message: can.Message) -> bool:
@@ -404,14 +403,13 @@ class ControllerNode(AnsweringNode):
         no protection checker sees any frame. A damaged reference does not replace an intact one.
         """
         reference, feedback = self._end.reference, self._end.feedback
-        if message.arbitration_id == reference.codec.frame_id:
+        receiver = self._end.receiver_of(message)
+        if receiver is reference:
             if Receiver(reference.codec).accept(message) is not None:
                 self._first[message.arbitration_id] = message
-        elif self._end.is_speed(message) or self._end.witnesses.concerns(message):
+        elif receiver not in {None, feedback} or self._end.witnesses.concerns(message):
             self._first[message.arbitration_id] = message
-        elif message.arbitration_id == feedback.codec.frame_id and (
-            first := self._first.get(reference.codec.frame_id)
-        ):
+        elif receiver is feedback and (first := self._first.get(reference.codec.frame_id)):
             pair = ((reference, first), (feedback, message))
             one, other = (Receiver(receiver.codec).accept(frame) for receiver, frame in pair)
             if one is not None and other is not None and one.tick == other.tick:

@@ -183,16 +183,15 @@ class RealTimeControllerNode:
     def _take_in(self, message: can.Message) -> None:
         if message.is_remote_frame or message.is_error_frame:
             return
-        number = message.arbitration_id
-        if number == self._end.reference.codec.frame_id:
-            reference = self._end.reference
+        reference, receiver = self._end.reference, self._end.receiver_of(message)
+        if receiver is reference:
             tick = None if reference.codec.layout.has_tick else self._expected
             self._reference_now = reference.accept(message, tick) or self._reference_now
             self._offered_s = message.timestamp
-        elif number == self._end.feedback.codec.frame_id:
+        elif receiver is self._end.feedback:
             self._take_in_feedback(message)
-        elif self._end.is_speed(message):
-            self._speed_now = self._end.speed_of(message, None) or self._speed_now
+        elif receiver is not None:
+            self._speed_now = receiver.accept(message) or self._speed_now
         elif self._end.witnesses.concerns(message):
             self._end.witnesses.take(message, None)
         elif self._listened is not None and is_frame_of(self._commands, message):
