@@ -489,12 +489,6 @@ class Trial:
         """Number of answers."""
         return len(self.inputs) * (1 if self.drive is None else 2) + 1
 
-    @property
-    def answer_bytes(self) -> int:
-        """Size of an answer."""
-        blended = () if self.drive is None else (self.tables, self.drive.blendings)
-        return sum(each.itemsize for each in (self.states, *blended))
-
 
 def random_trials(
     precision: Precision, seed: int, memories: int, ticks: int, blends: bool = False
@@ -583,7 +577,10 @@ def different(one: bytes, other: bytes, trials: list[Trial]) -> int:
 
     All not-a-numbers count as equal: their bits depend on the processor.
     """
-    dtype, size = precision_of(trials[0].tables[0]), trials[0].answer_bytes
+    first = trials[0]
+    blended = () if first.drive is None else (first.tables, first.drive.blendings)
+    size = sum(each.itemsize for each in (first.states, *blended))
+    dtype = precision_of(first.tables[0])
     expected = sum(trial.answers for trial in trials)
     if len(one) != expected * size or len(other) != expected * size:
         return expected

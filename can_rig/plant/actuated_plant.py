@@ -17,6 +17,7 @@ from can_rig.plant.actuators import FollowedCommand
 from can_rig.plant.disturbances import Disturbances
 from can_rig.plant.protocol import GuardedPlant, load_plant
 from can_rig.plant.sensor import FilteredSamples
+from can_rig.plant.witnesses import PlantRead
 from can_rig.scenario.build import but_for_noise, continuous_car, continuous_plant
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
@@ -41,25 +42,16 @@ CAR_STATES = ("side_slip_rad", "yaw_rate_rad_per_s", None, "steering_angle_rad")
 """State names of the linear car, in state order."""
 
 
-class ActuatedPlant(Protocol):
-    """A plant with its actuators and its sensor, initially at rest."""
+class ActuatedPlant(PlantRead, Protocol):
+    """A plant with its actuators and its sensor, initially at rest.
 
-    witnesses: FloatArray
-    """(r,), what the scenario's further sensors read at this tick, without errors."""
+    ``follow`` raises a RigError for an exception in the user's plant class.
+    """
 
     def report(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> Mapping[str, float]:
         """Signals of this tick: the car's state, and the actions that these commands cause."""
-
-    def follow(
-        self, command_1: float, command_2: float, left_1: float, left_2: float
-    ) -> tuple[float, float]:
-        """Advance one tick: return D* and the sensor's reading; see ``simulation.AnyPlant``.
-
-        Raises:
-            RigError: an exception in the user's plant class.
-        """
 
 
 Sensors = tuple[FurtherSensor, ...]

@@ -372,7 +372,6 @@ log = logging.getLogger(__name__)
 
 DEFAULT_CHANNEL: Final = "rig"
 
-_DONTWAIT: Final = int(socket.MSG_DONTWAIT)
 _SHUTDOWN_S: Final = 2.0  # waiting time of shutdown() for listeners to take sent frames
 _COARSE_S: Final = 0.05  # SO_RCVTIMEO counts in jiffies of 4 ms; select() does shorter timeouts
 
@@ -532,7 +531,7 @@ class LocalBus(BusABC):
             else:
                 if timeout > 0:
                     select.select((self._socket,), (), (), timeout)
-                datagram = self._socket.recv(MAX_BYTES, _DONTWAIT)
+                datagram = self._socket.recv(MAX_BYTES, DONTWAIT)
         except BlockingIOError:
             return None, 0
         except (OSError, ValueError) as error:  # ValueError: select() on a closed socket
