@@ -97,7 +97,7 @@ def bench(node: Mapping[str, str]) -> dict[str, str]:
     numbers = ", ".join(f"0x{byte:02X}" for byte in identity(node))
     (room,) = re.findall(r"#define FRAME_BYTES (\d+)u", node["frames.h"])
     sizes = {"order_bytes": str(ORDER_HEAD + int(room)), "sent_bytes": str(SENT_HEAD + int(room))}
-    return {name: support(name, _parts(node), identity=numbers, **sizes) for name in BENCH}
+    return {name: support(name, parts_of(node), identity=numbers, **sizes) for name in BENCH}
 
 
 def identity(node: Mapping[str, str]) -> bytes:
@@ -125,7 +125,7 @@ def exported(scenario: Scenario, prefix: str | None = None) -> dict[str, str]:
         "sources": "\n".join(f"  {name}" for name in units),
         "prefix": f"{prefix}_" if prefix else "",
     }
-    build = {name: support(name, _parts(node), **texts) for name in BUILD_FILES}
+    build = {name: support(name, parts_of(node), **texts) for name in BUILD_FILES}
     whole = {**node, **bench(node), **build}
     return with_provenance(whole if prefix is None else with_prefix(whole, prefix), scenario)
 
@@ -162,12 +162,6 @@ def _kind(names: Iterable[str]) -> Kind:
     """A folder with the files ``names``."""
     own = {*names, *EVIDENCE}
     return Kind("an exported controller", HEADER, lambda _: own, lambda _: True)
-
-
-def _parts(node: Mapping[str, str]) -> set[str]:
-    """Parts of handwritten files that go with the files of an application."""
-    found = parts_of(node) | ({HEARS} if "frame_speed" in node["frames.h"] else set())
-    return found | ({SENSORS} if "ECU_SENSORS" in node["ecu.h"] else set())
 
 
 def _latency(scenario: Scenario) -> str:

@@ -7,7 +7,7 @@ from can_rig.drawing.names import names_of
 from can_rig.export.application import BY_HAND, application
 from can_rig.export.c_files import plain
 from can_rig.export.fmu import TICKS, Model, Variable, as_text, name_of
-from can_rig.export.law import HEARS, SENSORS, numbers_of, parts_of, support
+from can_rig.export.law import NODE, numbers_of, parts_of, support
 from can_rig.export.network_code import sensors_of
 from can_rig.frames.codec import AGE
 from can_rig.scenario.build import network_of
@@ -52,9 +52,7 @@ def controller_model(scenario: Scenario) -> Model:
         *(Variable(code, "output", code.replace("_", " "), kind="Integer") for code in CODES),
     ]
     sources = {file: text for file, text in node.items() if file not in OF_THE_NODE}
-    parts = {*parts_of(sources)}
-    parts |= {HEARS} if scenario.drive.is_given else set()
-    parts |= {SENSORS} if heard else set()
+    parts = parts_of(node) - {NODE}
     sources["fmu_controller.c"] = support(
         "fmu_controller.c",
         parts,
@@ -78,8 +76,7 @@ def node_model(scenario: Scenario) -> Model:
         ScenarioError, ExportError: as ``application``.
     """
     sources = application(scenario)
-    parts = {*parts_of(sources), *((HEARS,) if scenario.drive.is_given else ())}
-    parts |= {SENSORS} if sensors_of(scenario, network_of(scenario)) else set()
+    parts = parts_of(sources)
     texts = {"scenario": plain(scenario.name), "bit_rate": str(scenario.bus.bitrate or 0)}
     sources |= {file: support(file, parts, **texts) for file in ("bus_node.h", "bus_node.c")}
     clock = {"intervalVariability": "triggered"}

@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from functools import cache
 from importlib.resources import files
 from typing import Final
@@ -58,10 +58,13 @@ def support(name: str, parts: Collection[str] = (), **values: str) -> str:
     return re.sub(r"\{(\w+)\}", lambda found: values.get(found[1], found[0]), "".join(kept))
 
 
-def parts_of(law: Collection[str]) -> set[str]:
-    """Parts of handwritten files that go with the files of a law."""
-    parts = {"schedule.c": BLENDS, "ecu.c": NODE}
-    return {part for name, part in parts.items() if name in law}
+def parts_of(texts: Mapping[str, str]) -> set[str]:
+    """Parts of handwritten files that go with the files of a law or of a whole node."""
+    marks = {
+        BLENDS: ("schedule.c", "schedule_"), NODE: ("ecu.c", "ecu_"),
+        HEARS: ("frames.h", "frame_speed"), SENSORS: ("ecu.h", "ECU_SENSORS"),
+    }  # fmt: skip
+    return {part for part, (name, mark) in marks.items() if mark in texts.get(name, ())}
 
 
 def numbers_of(precision: Precision) -> dict[str, str]:
