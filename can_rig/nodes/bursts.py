@@ -93,7 +93,7 @@ class Bursts:
     def repeat(self) -> None:
         """Send the same frames, without a log."""
         self._times.fill(time.time())
-        self._send.burst(self._bus.send_burst, self._datagram)
+        self._send.insist(self._bus.send_burst, self._datagram)
 
     def receive(self, tick: int) -> list[float] | None:
         """The values of the other node's frames of ``tick``, nan for NOT_AVAILABLE.

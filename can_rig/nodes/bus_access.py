@@ -11,9 +11,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from functools import partial
 from types import FrameType
-from typing import Final, Protocol, Self
+from typing import Final, Protocol, Self, TypeVar
 
 import can
 
@@ -109,6 +108,7 @@ RETRY_S: Final = 0.001
 """How soon a node turns to a bus again that has just refused."""
 
 Send = Callable[[can.Message], None]
+Sent = TypeVar("Sent")
 
 
 class NodeBus(Protocol):
@@ -142,35 +142,26 @@ class PersistentSender:
         """What the bus said, and how often."""
 
     def __call__(self, message: can.Message) -> None:
-        """Send one frame.
+        """Send one frame; raises as ``insist``."""
+        self.insist(self._bus.send, message)
+
+    def insist(self, send: Callable[[Sent], None], frames: Sent) -> None:
+        """Call ``send`` with a frame, or with several, until the bus takes them.
 
         Raises:
-            BusLostError: the bus has refused the frame for ``within_s``.
+            BusLostError: the bus has refused them for ``within_s``.
         """
-        try:
-            self._bus.send(message)
-        except can.CanError as error:
-            self._insist(partial(self._bus.send, message), error)
-
-    def burst(self, send: Callable[[memoryview], None], frames: memoryview) -> None:
-        """Send several frames at once; see ``LocalBus.send_burst``."""
-        try:
-            send(frames)
-        except can.CanError as error:
-            self._insist(partial(send, frames), error)
-
-    def _insist(self, send: Callable[[], None], error: can.CanError) -> None:
-        deadline_ns = self._clock.now_ns() + round(self._within_s * NS_PER_S)
-        while self._clock.now_ns() < deadline_ns:
-            self.errors[one_line(error)] += 1
-            pause(self._clock, RETRY_S)
+        deadline_ns: int | None = None
+        while True:
             try:
-                send()
-            except can.CanError as again:
-                error = again
-            else:
-                return
-        raise lost(self._bus, error, self._within_s)
+                return send(frames)
+            except can.CanError as error:
+                now_ns = self._clock.now_ns()
+                deadline_ns = deadline_ns or now_ns + round(self._within_s * NS_PER_S)
+                if now_ns >= deadline_ns:
+                    raise lost(self._bus, error, self._within_s) from None
+                self.errors[one_line(error)] += 1
+            pause(self._clock, RETRY_S)
 
 
 class TolerantBus:
