@@ -11,6 +11,10 @@
 
 #include "real.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #define FRAME_BYTES {frame_bytes}u /* the most that a frame has */
 //: if extended
 #define FRAME_EXTENDED 0x80000000u /* in an identifier of 29 bits */
@@ -75,4 +79,8 @@ real frame_value(const struct frame *frame, {word} steps);
 {word} frame_whole_steps(const struct frame *frame, real value);
 
 //: end
+#ifdef __cplusplus
+}
+#endif
+
 #endif
