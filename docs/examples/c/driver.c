@@ -36,7 +36,7 @@ bool driver_receive(struct driver_frame *frame)
     return true;
 }
 
-void driver_send(uint16_t id, uint8_t length, const uint8_t *data)
+void driver_send(uint32_t id, uint8_t length, const uint8_t *data)
 {
     struct driver_frame frame = {.at_us = driver_now_us, .id = id, .length = length};
 

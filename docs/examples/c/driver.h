@@ -9,15 +9,18 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "frames.h"
+
+#ifndef DRIVER_STEP_US
 #define DRIVER_STEP_US 100u
+#endif
 
 /* A data frame, as the files have it. */
 struct driver_frame {
     uint32_t at_us; /* when it was received */
-    uint16_t id;
+    uint32_t id;    /* with the flags of frames.h, if any */
     uint8_t length;
-    uint8_t unused;
-    uint8_t data[8];
+    uint8_t data[FRAME_BYTES];
 };
 
 void driver_start(void);
@@ -28,7 +31,7 @@ bool driver_step(void);
 /* The next frame that has come until now; whether there is one. */
 bool driver_receive(struct driver_frame *frame);
 
-void driver_send(uint16_t id, uint8_t length, const uint8_t *data);
+void driver_send(uint32_t id, uint8_t length, const uint8_t *data);
 
 extern volatile uint32_t driver_now_us;
 

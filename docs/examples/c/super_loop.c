@@ -8,7 +8,14 @@ static struct ecu ecu;
 void ecu_send(const struct ecu *sender, uint32_t id, uint8_t length, const uint8_t *data)
 {
     (void)sender;
-    driver_send((uint16_t)id, length, data);
+    driver_send(id, length, data);
+}
+
+static void catch_up(uint32_t now_us)
+{
+    while (ecu_is_overdue(&ecu, now_us)) {
+        ecu_on_tick(&ecu);
+    }
 }
 
 int main(void)
@@ -21,13 +28,12 @@ int main(void)
     }
     while (driver_step()) { /* on a target: for (;;) */
         while (driver_receive(&frame)) {
+            catch_up(frame.at_us); /* else the node would refuse a frame of the next tick */
             if (ecu_on_frame(&ecu, frame.id, frame.length, frame.data, frame.at_us)) {
                 ecu_on_tick(&ecu);
             }
         }
-        while (ecu_is_overdue(&ecu, driver_now_us)) {
-            ecu_on_tick(&ecu);
-        }
+        catch_up(driver_now_us);
     }
     host_exit();
     return 0;

@@ -17,7 +17,7 @@ static struct ecu ecu;
 void ecu_send(const struct ecu *sender, uint32_t id, uint8_t length, const uint8_t *data)
 {
     (void)sender;
-    driver_send((uint16_t)id, length, data);
+    driver_send(id, length, data);
 }
 
 static void catch_up(uint32_t now_us)

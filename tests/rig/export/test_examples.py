@@ -13,11 +13,14 @@ import pytest
 
 from can_rig.export.application import application, exported, write
 from can_rig.export.boards import emulated, image_of
+from can_rig.export.compiler import built
+from can_rig.export.law import support
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
 from can_rig.scenario.loading import load
 from firmware_model.firmware import Firmware
 from tests.rig.export.shared import EMULATED, STRICT, log_of, run
+from tests.rig.own_frames.scenarios import FD_SIGNALS, database, options
 
 EXAMPLES = Path(__file__).parents[3] / "docs" / "examples" / "c"
 SETTINGS = [
@@ -30,15 +33,20 @@ SOURCES = {
     "tasks": ("tasks.c", "driver.c", "driver.h"),
     "steering": ("steering.c", "rte_main.c", "Rte_Steering.h"),
 }
+FRAME, FD_FRAME = "<IIB8s3x", "<IIB16s3x"
 BOARD = {"super_loop": "m4f", "tasks": "m7", "steering": "m4f"}
 
 
-def frames() -> tuple[bytes, list[tuple[int, bytes]]]:
-    """What the node receives, as ``struct driver_frame``, and what the law in Python sends."""
+def frames(missing_s: float = 0.1) -> tuple[bytes, list[tuple[int, bytes]]]:
+    """What the node receives, as ``struct driver_frame``, and what the law in Python sends.
+
+    The feedback is missing for ``missing_s`` from 0.1 s on.
+    """
     received, sent = b"", []
     network = network_of(SCENARIO)
     sends = {codec.frame_id for codec in (network.command_1, network.command_2, network.status)}
-    for line in log_of("default", SETTINGS).decode().splitlines():
+    settings = [*SETTINGS, f"fault.for_s={missing_s}"]
+    for line in log_of("default", settings).decode().splitlines():
         at, _, frame, _ = line.split()
         number, data = (each for each in frame.split("#"))
         frame_id, payload = int(number, 16), bytes.fromhex(data)
@@ -46,9 +54,9 @@ def frames() -> tuple[bytes, list[tuple[int, bytes]]]:
             sent.append((frame_id, payload))
         elif not payload.endswith(b"\x00\x00\x00\x80"):  # a value, which needs a frame
             at_us = round(float(at.strip("()")) * 1e6)
-            received += struct.pack("<IHBx8s", at_us, frame_id, 8, payload)
+            received += struct.pack(FRAME, at_us, frame_id, 8, payload)
     assert len(sent) == 3 * 200
-    assert len(received) == 16 * (200 + 100)  # the feedback of the last 100 ticks is missing
+    assert len(received) == struct.calcsize(FRAME) * (400 - round(1e3 * missing_s))
     return received, sent
 
 
@@ -67,8 +75,12 @@ def check(example: str, answered: bytes) -> None:
     if example == "steering":
         assert answered == signals()[1]
     else:
-        found = [(frame[1], frame[4]) for frame in struct.iter_unpack("<IHBB8s", answered)]
-        assert found == frames()[1]
+        assert sent_frames(answered) == frames()[1]
+
+
+def sent_frames(answered: bytes) -> list[tuple[int, bytes]]:
+    """Identifier and data of each ``struct driver_frame``."""
+    return [(frame[1], frame[3]) for frame in struct.iter_unpack(FRAME, answered)]
 
 
 def inputs_of(example: str) -> bytes:
@@ -87,6 +99,39 @@ def test_on_a_board_it_answers_as_in_python(example):
         "-icount", "shift=6,sleep=off",
     )  # fmt: skip
     check(example, answered)
+
+
+def program(example: str, node: dict[str, str], *flags: str) -> Path:
+    """An example as a program of this computer."""
+    files = {name: (EXAMPLES / name).read_text(encoding="utf-8") for name in SOURCES[example]}
+    files["host_files.c"] = (EXAMPLES / "host_files.c").read_text(encoding="utf-8")
+    files["host.h"] = support("host.h")
+    return built(["cc"], (*STRICT, *flags), node | files, ".out")
+
+
+def test_a_loop_as_slow_as_the_tick_survives_a_missing_feedback(tmp_path):
+    """The frames of the next tick are there before the clock is read."""
+    received, sent = frames(missing_s=0.001)
+    (tmp_path / "received").write_bytes(received)
+    run(program("super_loop", application(SCENARIO), "-DDRIVER_STEP_US=1000u"), cwd=tmp_path)
+    assert sent_frames((tmp_path / "sent").read_bytes()) == sent
+
+
+def test_an_example_carries_identifiers_of_29_bits_and_frames_of_can_fd(tmp_path):
+    path, flags = tmp_path / "own.dbc", 0xC0000000
+    text = database("48|32@1- (1,0) [0|0]", 16, first_id=0x80001300, types="1", fd=True)
+    path.write_text(text, encoding="utf-8")
+    scenario = load("default", [*options(path, FD_SIGNALS), "duration_s=0.1"])
+    network = network_of(scenario)
+    inputs = b"".join(
+        struct.pack(FD_FRAME, 0, codec.frame_id | flags, 16, bytes(codec.encode(0.0, tick=7)))
+        for codec in (network.reference, network.feedback)
+    )
+    (tmp_path / "received").write_bytes(inputs)
+    run(program("super_loop", application(scenario)), cwd=tmp_path)
+    answered = struct.iter_unpack(FD_FRAME, (tmp_path / "sent").read_bytes())
+    sent = [network.command_1, network.command_2, network.status]
+    assert [frame[1:3] for frame in answered][:3] == [(each.frame_id | flags, 16) for each in sent]
 
 
 @pytest.fixture(scope="module")
