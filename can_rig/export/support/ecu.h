@@ -4,7 +4,15 @@
  * ecu_on_tick once a tick: when ecu_on_frame has said that the tick is complete, or while
  * ecu_is_overdue says that its feedback does not come. It provides ecu_send.
  *
- * Times are those of any clock of microseconds; it may wrap.
+ * It asks ecu_is_overdue before each frame, with the time of the frame, and at least every half
+ * tick, after all frames that have come: until an overdue tick is computed, the node refuses the
+ * frames of the next one.
+ *
+ * Times are those of any clock of microseconds that goes on and wraps after 2^32.
+ * Memory: the struct ecu is the caller's. No function keeps a pointer: 'data' is needed during the
+ * call alone, and ecu_send must copy what it sends later.
+ * Not for two threads, or a thread and an interrupt, at once with the same struct ecu: an interrupt
+ * puts frames and their times into a queue. Two nodes share nothing that changes.
  */
 #ifndef ECU_H
 #define ECU_H
@@ -126,7 +134,7 @@ extern const uint32_t ecu_tick_us;
 extern const uint32_t ecu_crc_of_frames;
 
 /* Put a frame of a node on its bus: to be provided by the application. 'id' is that
- * of a struct frame.
+ * of a struct frame. Called by ecu_on_tick alone, three times; it calls no function of this header.
  */
 void ecu_send(const struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data);
 
