@@ -58,7 +58,7 @@ void ecu_send(const struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t 
 
 static uint32_t now_us(const struct instance *self)
 {
-    return (uint32_t)(int64_t)rint(self->reals[TIME] * 1e6);
+    return (uint32_t)(int64_t)fmod(rint(self->reals[TIME] * 1e6), 4294967296.0);
 }
 
 /* Take in one operation; whether it is sound. */

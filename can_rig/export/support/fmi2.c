@@ -50,14 +50,18 @@ EXPORT void fmi2FreeInstance(void *instance)
 EXPORT int fmi2SetupExperiment(void *instance, int tolerance_defined, double tolerance,
                                double start_time, int stop_defined, double stop_time)
 {
-    (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop_time;
-    ((struct instance *)instance)->reals[TIME] = start_time;
-    return FMI_OK;
+    (void)tolerance_defined, (void)tolerance;
+    return fmu_start_at(instance, start_time, stop_defined != 0, stop_time);
 }
 
 EXPORT int fmi2ExitInitializationMode(void *instance)
 {
     return fmu_begin(instance);
+}
+
+EXPORT int fmi2Terminate(void *instance)
+{
+    return fmu_end(instance);
 }
 
 EXPORT int fmi2Reset(void *instance)
@@ -95,5 +99,4 @@ EXPORT int fmi2SetInteger(void *instance, const uint32_t references[], size_t n,
 
 ANSWERS(fmi2SetDebugLogging, FMI_OK)
 ANSWERS(fmi2EnterInitializationMode, FMI_OK)
-ANSWERS(fmi2Terminate, FMI_OK)
 {refused_2}

@@ -53,14 +53,18 @@ EXPORT void fmi3FreeInstance(void *instance)
 EXPORT int fmi3EnterInitializationMode(void *instance, bool tolerance_defined, double tolerance,
                                        double start_time, bool stop_defined, double stop_time)
 {
-    (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop_time;
-    ((struct instance *)instance)->reals[TIME] = start_time;
-    return FMI_OK;
+    (void)tolerance_defined, (void)tolerance;
+    return fmu_start_at(instance, start_time, stop_defined, stop_time);
 }
 
 EXPORT int fmi3ExitInitializationMode(void *instance)
 {
     return fmu_begin(instance);
+}
+
+EXPORT int fmi3Terminate(void *instance)
+{
+    return fmu_end(instance);
 }
 
 EXPORT int fmi3Reset(void *instance)
@@ -107,5 +111,4 @@ EXPORT int fmi3SetInt32(void *instance, const uint32_t references[], size_t n,
 }
 
 ANSWERS(fmi3SetDebugLogging, FMI_OK)
-ANSWERS(fmi3Terminate, FMI_OK)
 {refused_3}

@@ -1,13 +1,11 @@
 #include "fmu.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-//: if node
-//: else
 static const double tick_s = {tick_s};
-//: end
 static const char right_token[] = "{token}";
 
 struct instance *fmu_new(const struct caller *caller, const char *token)
@@ -48,17 +46,52 @@ int fmu_reset(struct instance *self)
     return FMI_OK;
 }
 
+int fmu_start_at(struct instance *self, double start_s, bool stops, double stop_s)
+{
+    if (self->has_begun || !(fabs(start_s) <= DBL_MAX)) {
+        return fmu_refuse(self, "a start time must be a number, before the initialisation ends");
+    }
+    self->reals[TIME] = start_s;
+    self->stops = stops;
+    self->stop_s = stop_s;
+    return FMI_OK;
+}
+
 int fmu_begin(struct instance *self)
 {
+    if (self->has_begun) {
+        return fmu_refuse(self, "an initialisation must end once");
+    }
     self->has_begun = true;
     model_begin(self);
     return FMI_OK;
 }
 
+int fmu_end(struct instance *self)
+{
+    self->has_begun = false;
+    return FMI_OK;
+}
+
 int fmu_step(struct instance *self, double point_s, double step_s)
 {
+    const double end_s = point_s + step_s, near_s = tick_s / 2.0;
+
+    if (!self->has_begun) {
+        return fmu_refuse(self, "a communication step must be between initialisation and end");
+    }
+    if (!(fabs(point_s - self->reals[TIME]) < near_s)) {
+        return fmu_refuse(self, "a communication step must begin where the one before has ended");
+    }
+    if (self->stops && end_s > self->stop_s + near_s) {
+        return fmu_refuse(self, "a communication step must end by the stop time");
+    }
 //: if node
-    self->reals[TIME] = point_s + step_s;
+    if (!(step_s > 0.0 && step_s <= INT32_MAX * tick_s)) {
+        return fmu_refuse(self, "a communication step must be more than 0 s and at most 2147483647 "
+                                "ticks of {tick_s} s");
+    }
+    self->reals[TIME] = end_s;
     model_tick(self, true);
 //: else
     const double ticks = rint(step_s / tick_s);
@@ -70,7 +103,7 @@ int fmu_step(struct instance *self, double point_s, double step_s)
     for (int32_t done = 0; done < (int32_t) ticks; done++) {
         model_tick(self, done == 0);
     }
-    self->reals[TIME] = point_s + step_s;
+    self->reals[TIME] = end_s;
 //: end
     return FMI_OK;
 }

@@ -35,7 +35,8 @@ struct caller {
 
 struct instance {
     struct caller caller;
-    bool has_begun;
+    bool has_begun, stops;
+    double stop_s;
     double reals[REALS];
     int32_t wholes[VALUES - REALS + 1];
 //: if car
@@ -63,7 +64,9 @@ void model_tick(struct instance *self, bool first);
 struct instance *fmu_new(const struct caller *caller, const char *token);
 int fmu_refuse(const struct instance *self, const char *message);
 int fmu_reset(struct instance *self);
+int fmu_start_at(struct instance *self, double start_s, bool stops, double stop_s);
 int fmu_begin(struct instance *self);
+int fmu_end(struct instance *self);
 int fmu_step(struct instance *self, double point_s, double step_s);
 int fmu_get_reals(const struct instance *self, const uint32_t references[], size_t n,
                   double values[]);

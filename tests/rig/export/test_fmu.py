@@ -4,6 +4,7 @@ import math
 import runpy
 import struct
 import zipfile
+from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -362,12 +363,61 @@ def test_a_step_of_several_ticks_holds_the_inputs(exported, tmp_path):
         assert one.getFloat64(COMMANDS) == many.getFloat64(COMMANDS) == [*said[:2]]
     for step_s in (0.0004, -0.001, 0.0, 1e16, math.inf, math.nan):
         with pytest.raises(FMICallException):
-            one.doStep(1.0, step_s)
+            one.doStep(0.15, step_s)
     one.reset()
     assert one.getFloat64(COMMANDS) == [0.0, 0.0]
     for fmu in (one, many):
         fmu.terminate()
         fmu.freeInstance()
+
+
+@pytest.mark.parametrize(
+    "file", ["fmi2/controller_cluster.fmu", "fmi3/car_cluster.fmu", "fmi3/node_cluster.fmu"]
+)
+def test_calls_out_of_order_are_refused(file, cluster, tmp_path):
+    model = fmpy.read_model_description(str(cluster / file))
+    fmpy.extract(str(cluster / file), str(tmp_path))
+    said: list[bytes] = []
+    fmu: Any = instantiate_fmu(
+        str(tmp_path), model, "CoSimulation", logger=lambda *message: said.append(message[-1]),
+        event_mode_used="node" in file,
+    )  # fmt: skip
+
+    def begin(**times: float) -> None:
+        if "fmi2" in file:
+            fmu.setupExperiment(**times)
+            fmu.enterInitializationMode()
+        else:
+            fmu.enterInitializationMode(**times)
+
+    def refused(said_why: bytes, call: Callable[..., object], *arguments: float) -> None:
+        with pytest.raises(FMICallException):
+            call(*arguments)
+        assert said_why in said.pop()
+        assert not said
+
+    before, start = b"between initialisation and end", b"a start time must be a number"
+    refused(before, fmu.doStep, 5.0, 0.001)
+    refused(start, lambda: begin(startTime=math.nan))
+    begin(startTime=5.0, stopTime=5.003)
+    refused(before, fmu.doStep, 5.0, 0.001)
+    fmu.exitInitializationMode()
+    refused(b"must end once", fmu.exitInitializationMode)
+    refused(start, lambda: begin(startTime=0.0))
+    for point_s in (5.001, 4.999, math.nan, math.inf):
+        refused(b"where the one before has ended", fmu.doStep, point_s, 0.001)
+    fmu.doStep(5.0, 0.001)
+    refused(b"where the one before has ended", fmu.doStep, 5.0, 0.001)
+    refused(b"by the stop time", fmu.doStep, 5.001, 0.003)
+    for step_s in (0.0, -0.001, math.nan):
+        refused(b"a communication step must be", fmu.doStep, 5.001, step_s)
+    fmu.doStep(5.001 + 1e-9, 0.002)  # what rounding makes of the point
+    fmu.terminate()
+    refused(before, fmu.doStep, 5.003, 0.001)
+    fmu.reset()
+    begin()
+    fmu.exitInitializationMode()
+    fmu.doStep(0.0, 0.01)  # no stop time any more
 
 
 @pytest.mark.parametrize(
