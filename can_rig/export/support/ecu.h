@@ -111,7 +111,8 @@ void ecu_save(struct ecu *ecu, struct knowledge_saved *saved);
 bool ecu_restore(struct ecu *ecu, const struct knowledge_saved *saved);
 
 /* Take in a frame that came at 'now_us'; whether it completes the tick, so that ecu_on_tick is due
- * at once. 'id' is that of a struct frame.
+ * at once. 'id' is that of a struct frame, and 'data' has 'length' bytes: no length code of CAN FD,
+ * and never NULL. A frame of another identifier has no effect; the checkers count the others.
  */
 bool ecu_on_frame(struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t *data,
                   uint32_t now_us);

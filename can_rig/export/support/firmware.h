@@ -8,15 +8,13 @@
 //: if blends
  * tick; its commands must be at the actuators {latency}. Before it firmware_change_speed, in
  * a tick that brings the speed of the car.
+//: else
+ * tick; its commands must be at the actuators {latency}.
+//: end
  * Memory: it is the caller's, and static; nothing is allocated, nothing recurses, no other
  * functions of the C library are used than sqrt, fabs, ceil, rint, memset and memcpy.
  * Not for two threads at once with the same memory.
-//: else
- * tick; its commands must be at the actuators {latency}.
- * Memory: the state is the caller's, and static; nothing is allocated, nothing recurses, no other
- * functions of the C library are used than sqrt, fabs, ceil, rint and memset.
- * Not for two threads at once with the same state.
-//: end
+ * At start-up, before firmware_init: self_test of self_test.h.
  */
 #ifndef FIRMWARE_H
 #define FIRMWARE_H
@@ -89,6 +87,8 @@ bool firmware_restore(struct layout_state *state, const struct knowledge_saved *
  * the commands.
  *
  * reference: {reference}
+ *
+ * It must be finite: any other is a safe stop until the next reset.
  */
 //: if blends
 void firmware_reset(struct firmware_memory *memory, real reference);
@@ -108,6 +108,8 @@ void firmware_reset(struct layout_state *state, real reference);
  * sensor: 1 and 2: the output of actuator 1 or 2; 3: yaw rate; 4: lateral acceleration
  * value: an output in the unit of its command, a yaw rate in rad/s, an acceleration in m/s^2
  * age: ticks since the sample; 64 and more are too old to count
+ *
+ * Another sensor, a value that is not finite and a negative age have no effect.
  */
 //: if blends
 void firmware_hear(struct firmware_memory *memory, real sensor, real value, real age);
