@@ -124,7 +124,8 @@ void firmware_hear(struct layout_state *state, real sensor, real value, real age
  * measurement: {measurement}
  *
  * A missing input must be NAN: the mode is MODE_BLIND then. The model's prediction stands in for
- * the measurement; without a reference the commands are held.
+ * the measurement; without a reference the commands are held. A tick in which nothing has come
+ * needs its step too: the models of the plant go on by a tick with each step.
  */
 //: if blends
 struct firmware_answer firmware_step(struct firmware_memory *memory, real reference,
