@@ -439,7 +439,7 @@ class ControllerNode(AnsweringNode):
 
     def _answer(self, wire_tick: int, measurement: float) -> None:
         tick = tick_from(wire_tick, self._tick)
-        now = self._reference_now
+        now, self._reference_now = self._reference_now, NO_REFERENCE  # its number comes again
         reference = now.value if now.tick == wire_tick else math.nan  # none: hold, and say so
         self._respond(tick, reference, measurement)
         self._end.end_tick()

@@ -183,7 +183,6 @@ static void take_reference(struct ecu *ecu, uint8_t length, const uint8_t *data)
 
     if (receive(&ecu->reference, &frame_reference, ecu->tick, length, data, &content)) {
         ecu->wanted = content.value;
-        ecu->wanted_tick = ecu->tick;
     }
 }
 //: if hears
@@ -385,15 +384,11 @@ static void answer(struct ecu *ecu, uint8_t stage, const struct frame *frame,
 
 void ecu_on_tick(struct ecu *ecu)
 {
-    const bool wanted = ecu->wanted_tick == ecu->tick;
-    const real reference = wanted ? ecu->wanted : (real)NAN;
 //: if sensors
-
     hear_sensors(ecu);
 
 //: end
-    const struct firmware_answer now =
-        firmware_step(&ecu->state, reference, ecu->measured);
+    const struct firmware_answer now = firmware_step(&ecu->state, ecu->wanted, ecu->measured);
     struct frame_content content = {.tick = ecu->tick};
 
     pass(ecu, 0);
@@ -415,6 +410,7 @@ void ecu_on_tick(struct ecu *ecu)
     end_tick_of_sensors(ecu);
 //: end
     pass(ecu, 4);
+    ecu->wanted = (real)NAN;
     ecu->measured = (real)NAN;
     ecu->tick++;
     if (ecu->flow == STAGES) {

@@ -84,9 +84,8 @@ struct ecu {
     bool is_fit;          /* whether the self-test succeeded; else the node takes in no frame */
     bool running;         /* whether the first contact has said which tick it is */
     uint16_t tick;        /* the next one, modulo 65536 */
-    real wanted;        /* the value of the last reference that was accepted */
-    uint16_t wanted_tick; /* its tick */
-    real measured;      /* the feedback of this tick; NAN until it is accepted */
+    real wanted;        /* the reference of this tick; NAN until it is accepted */
+    real measured;      /* the feedback, likewise */
     uint32_t expected_us; /* when that should come */
     struct ecu_offer first; /* a reference */
     uint8_t flow;    /* stages of this tick that were passed in order */

@@ -41,6 +41,7 @@ from can_rig.frames.codec import FRAME_BYTES, Transmitter
 from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import load
+from firmware_model.law.status import Mode
 from firmware_model.law.structs import record_type
 from firmware_model.law.supervision.knowledge import Saved
 from tests import helpers
@@ -373,6 +374,28 @@ def test_a_node_that_stood_still_sends_no_burst():
         assert len(sent) == 3 * library.ecu_alive(ecu)
         ticks = [int.from_bytes(data[2:4], "little") for _, data in sent[-3:]]
         assert ticks == [(first + 29) % 65536] * 3 or not stalled
+
+
+def test_an_old_reference_does_not_come_back_when_the_number_of_its_tick_does():
+    """A tick has 16 bits, and the reference has been missing since; in Python likewise."""
+    node, answers = NodeInC(), []
+    status = node.network.status
+    python = ControllerNode(node.scenario, node.network, answers.append, PYTHON)
+    reference, feedback = Transmitter(node.network.reference), Transmitter(node.network.feedback)
+    for number in range(10):
+        for frame in (reference.frame(0.5, number), feedback.frame(0.001 * number, number)):
+            python.take(frame)
+            node.take(frame, 0)
+    for _ in range(10, 2**16 + 9):
+        python.miss()
+        node.library.ecu_on_tick(node.ecu)
+    last = feedback.frame(0.0, 9)
+    python.take(last)
+    node.take(last, 0)
+    assert [status.decode(answer).mode for answer in (answers[-1].data, node.sent[-1][1])] == [
+        Mode.SAFE_STOP, Mode.SAFE_STOP,
+    ]  # fmt: skip
+    assert len(answers) == len(node.sent) == 3 * (2**16 + 10)
 
 
 # --- the node at a serial port -------------------------------------------------------------------
