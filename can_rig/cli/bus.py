@@ -103,9 +103,6 @@ def table_rows(timing: BusTiming) -> Iterator[tuple[str, ...]]:
 
 def _print(timing: BusTiming, tick_s: float | None) -> None:
     shown = table(*COLUMNS, title="worst case, times in µs")
-    shown.columns[0].overflow = "fold"  # a long name gives way to the numbers
-    for column in shown.columns[1:]:
-        column.no_wrap = True
     for row in table_rows(timing):
         shown.add_row(*row)
     show(shown)

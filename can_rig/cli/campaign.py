@@ -21,7 +21,7 @@ from can_rig.campaigns.settings import read_campaign
 from can_rig.campaigns.statistics import Cross, Summary, percent
 from can_rig.campaigns.workers import Compute, in_processes, serially
 from can_rig.cli.options import json_option, set_option
-from can_rig.cli.output import WIDE, counting, json_line, say, show, show_beside, table
+from can_rig.cli.output import counting, json_line, say, show, show_beside, table
 from can_rig.errors import INTERRUPTED, WorkersLostError
 from can_rig.nodes.bus_access import StopRequest
 
@@ -186,7 +186,7 @@ def _print(summary: Summary, folder: CampaignFolder) -> None:
     for each in summary.spreads:
         values = (each.least, each.median, each.percentile_99, each.greatest)
         spreads.add_row(each.name, str(each.runs), *(f"{number:.4g}" for number in values))
-    show(rates, spreads, *([_found(summary)] if summary.found else []), least=WIDE)
+    show(rates, spreads, *([_found(summary)] if summary.found else []), wide=True)
     for cross in summary.tables:
         _show_cross(cross)
     alarms = summary.false_alarms

@@ -9,7 +9,7 @@ from click.shell_completion import CompletionItem
 
 from can_rig.assessment.stability import finite_or_null
 from can_rig.cli.options import force_option, json_option, out_option, set_option
-from can_rig.cli.output import WIDE, json_line, note, progress, say, show, table
+from can_rig.cli.output import json_line, note, progress, say, show, table
 from can_rig.errors import ScenarioError
 from can_rig.scenario.loading import change, load
 from can_rig.storage.files import refuse_picture
@@ -80,7 +80,7 @@ def command(
     for row in found.rows:
         figures.add_row("" if row.case == before else row.case, row.controller, *_cells(row))
         before = row.case
-    show(figures, least=WIDE)
+    show(figures, wide=True)
     say("|r - y| in the output's unit; confirmed: s after the fault; u1, u2: peaks of the commands")
     say(*(f"{row.case}, {row.controller}: {row.failure}" for row in found.rows if row.failure))
     note(*dict.fromkeys(f"{row.case}: {row.never}" for row in found.rows if row.never))

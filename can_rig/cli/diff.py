@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from can_rig.cli.options import force_option, json_option, out_option, window_options
-from can_rig.cli.output import WIDE, json_line, note, say, show, table
+from can_rig.cli.output import json_line, note, say, show, table
 from can_rig.logs.frames import window_of
 from can_rig.scenario.loading import load
 from can_rig.storage.files import atomic, refuse_picture
@@ -101,7 +101,7 @@ def print_difference(difference: Difference, labels: tuple[str, str], a: SignalT
     settings = table("setting", *labels)
     for setting in difference.settings or ():
         settings.add_row(setting.key, written(setting.a), written(setting.b))
-    show(signals, *([settings] if difference.settings else []), least=WIDE)
+    show(signals, *([settings] if difference.settings else []), wide=True)
     say(*_lines(difference, labels))
 
 

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from textwrap import wrap
 from typing import TYPE_CHECKING, TextIO
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -22,8 +23,8 @@ from rich.table import Table
 if TYPE_CHECKING:  # NumPy and python-can are not needed to print
     from can_rig.logs.frames import Frames, Log
 
-WIDE = 120
-"""Least characters of a line of a wide table."""
+WIDE = 10_000
+"""Most characters of a line of a wide table, wherever it goes."""
 
 
 def table(*headings: str, left: int = 1, title: str | None = None, no_wrap: bool = False) -> Table:
@@ -34,12 +35,19 @@ def table(*headings: str, left: int = 1, title: str | None = None, no_wrap: bool
     return made
 
 
-def show(*tables: Table, least: int = 0) -> None:
-    """Tables, as wide as the terminal; wherever they go, of ``least`` characters at least."""
-    console = Console(soft_wrap=least > 0, highlight=False, emoji=False, markup=False)
-    console.width = max(console.width, least)
+def show(*tables: Table, wide: bool = False) -> None:
+    """Tables as wide as the terminal, or as their longest words: cells break, no word is cut.
+
+    In a ``wide`` table no cell breaks either.
+    """
     for each in tables:
-        console.print(each)
+        console, longest = Console(highlight=False, emoji=False, markup=False), 0
+        for column in each.columns:
+            words = " ".join([str(column.header), *map(str, column.cells)]).split()
+            column.min_width = max(map(cell_len, words), default=0)
+            longest += column.min_width + 2
+        console.width = WIDE if wide else max(console.width, longest)
+        console.print(each, crop=False, soft_wrap=wide)
 
 
 def show_beside(headings: tuple[str, ...], *rows: tuple[str, ...]) -> None:

@@ -26,7 +26,7 @@ from can_rig.cli.options import (
     set_option,
     window_options,
 )
-from can_rig.cli.output import WIDE, counting, json_line, note, reading, say, show, table, tell
+from can_rig.cli.output import counting, json_line, note, reading, say, show, table, tell
 from can_rig.cli.run import closing_table
 from can_rig.errors import INTERRUPTED, LogError
 from can_rig.logs.frames import ALL, NS_PER_S, Frames, Window, window_of
@@ -280,7 +280,7 @@ def _recorded_drive(
             *(each[key] for key in ("role", "signal", "bus", "unit")),
             str(counts[0]), period, str(counts[1]), *ends,
         )  # fmt: skip
-    show(rows, least=170)  # names of signals are long
+    show(rows, wide=True)
     say(*_of_drive(summary), *(f"written  {path}" for path in outs))
     note(source.log.notice, *replayed.notes())
 
@@ -358,10 +358,10 @@ def _counts(loop: OpenLoop) -> dict[str, dict[str, int]]:
 
 def _print_comparison(source: Source, loop: OpenLoop, listed: list[Gap], gaps: Path | None) -> None:
     """Print tables of signals and gaps, and a verdict; the file ``gaps`` lists every gap."""
-    show(_signal_table(loop.comparison.signals), least=WIDE)
+    show(_signal_table(loop.comparison.signals), wide=True)
     if loop.account.counts:
         say("")
-        show(_count_table(loop), least=WIDE)
+        show(_count_table(loop), wide=True)
         _list(listed, gaps)
     say("", *_verdict(loop))
     note(source.log.notice)
@@ -406,7 +406,7 @@ def _list(listed: list[Gap], gaps: Path | None) -> None:
         tick = str(gap.tick) if gap.ticks == 1 else f"{gap.tick}..{gap.tick + gap.ticks - 1}"
         what = f"{gap.what}: {gap.detail}" if gap.detail else gap.what
         rows.add_row(tick, seconds(gap.time_ns), gap.message, what)
-    show(rows, least=WIDE)
+    show(rows, wide=True)
     if gaps is not None:
         say(f"all of them in {gaps}")
     elif len(listed) > _SHOWN:

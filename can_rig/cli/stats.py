@@ -8,7 +8,7 @@ import click
 
 from can_rig.cli.decoding import Asked, decoding_options, hint
 from can_rig.cli.options import force_option, json_option
-from can_rig.cli.output import WIDE, json_line, note, say, show, table
+from can_rig.cli.output import json_line, note, say, show, table
 from can_rig.decoding.decode import Decoder
 from can_rig.frames.frame_length import FrameError
 from can_rig.storage.files import atomic, refuse_picture
@@ -29,7 +29,7 @@ USUAL_BITRATE: Final = 500_000
     "--data-bitrate", default=2_000_000, show_default=True, help="Of CAN FD's data phase, in bit/s."
 )
 @click.option(
-    "--out", type=click.Path(path_type=Path), metavar="FILE.png", help="The load over time, drawn."
+    "--out", type=click.Path(path_type=Path), metavar="FILE", help="The load over time, drawn."
 )
 @force_option
 @json_option()
@@ -66,7 +66,7 @@ def command(
         from can_rig.views.pictures import load_page  # noqa: PLC0415 (matplotlib)
 
         with atomic(out, force=force) as part:
-            load_page(statistics).savefig(part, dpi=150, format="png")
+            load_page(statistics).savefig(part, dpi=150)
     if as_json:
         json_line(log=str(source.path), **result, notice=source.notice)
         return
@@ -123,7 +123,7 @@ def _print(result: dict[str, Any]) -> None:
             f"{row['gaps']}",
             f"{low}" if low == high else f"{low}..{high}",
         )
-    show(shown, least=WIDE)
+    show(shown, wide=True)
     say(*_lines(result))
 
 

@@ -20,6 +20,24 @@ def test_check_keeps_headings_and_figures_in_any_width(width, monkeypatch):
     assert "…" not in "".join(table)
 
 
+@pytest.mark.parametrize("width", [30, 80, 200])
+def test_no_word_of_a_table_is_cut(width, monkeypatch, tmp_path):
+    """Long names that differ in their last letter alone."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    names = [f"{'A_LONG_NAME_' * 10}{letter}" for letter in "AB"]
+    texts = [
+        f'BO_ {n} {name}: 1 A\n SG_ V : 0|8@1+ (1,0) [0|0] "" A\n' for n, name in enumerate(names)
+    ]
+    dbc, log = tmp_path / "a.dbc", tmp_path / "a.log"
+    dbc.write_text("".join(texts))
+    log.write_text("(1.0) can0 000#01\n(1.0) can0 001#01\n(1.0) can0 001#\n")
+    for command in ("decode", "stats"):
+        said = asked(command, log, "--dbc", dbc).stdout
+        assert [name for name in names if name in said] == names
+    said = asked("bus", "default").stdout.split()
+    assert "CONTROLLER_STATUS" in said and "identifier" in said
+
+
 def last(lines: list[str]) -> str:
     """The last row of the table's last part."""
     return next(line for line in reversed(lines) if line.startswith("u2 / noise "))
