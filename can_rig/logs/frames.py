@@ -196,8 +196,8 @@ class Log:
     """A log; iteration may be repeated; each chunk is a `Frames`.
 
     Raises (during iteration):
-        LogError: the file cannot be read, or its content is not of its format; the one-line message
-            names the file and the place.
+        LogError: the file cannot be read, its content is not of its format, or the window has none
+            of its frames; the one-line message names the file and the place.
     """
 
     path: Path
@@ -229,17 +229,23 @@ class Log:
 
     def _within(self, chunks: Iterator[Frames]) -> Iterator[Frames]:
         """The frames within the window; chunks without any are passed over."""
+        last_ns, empty = ALL.begin_ns, True
         try:
             if self.window == ALL:
                 yield from chunks
                 return
             for frames in chunks:
                 since_ns = frames.time_ns - self.start_ns
+                last_ns = max(last_ns, int(since_ns.max(initial=last_ns)))
                 inside = (since_ns >= self.window.begin_ns) & (since_ns < self.window.end_ns)
                 if inside.any():
+                    empty = False
                     yield frames if inside.all() else frames[inside]
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read: {error.strerror}") from None
+        if empty and last_ns != ALL.begin_ns:
+            last = f"the last is at {last_ns / NS_PER_S:g} s"
+            raise LogError(f"{self.path}: has no frame between --from and --to, {last}")
 
 
 Writer = Callable[[Iterable[Frames], Path, int, Path], None]

@@ -752,6 +752,8 @@ def _read(log: Log) -> Iterator[Frames]:
             total = sum(group.expected for group in groups)
             done = 0
             for frames in _merged(groups):
+                if not done:  # python-can states when a log was converted, also for an old log
+                    log.start_ns = min(log.start_ns, int(frames.time_ns[0]))
                 done += len(frames)
                 log.fraction = done / max(total, done)
                 yield frames
@@ -782,7 +784,7 @@ class _Group:
         self, file: MdfFile, log: Log, data: DataGroup, group: ChannelGroup, kind: str
     ) -> None:
         self._file, self._log, self._data, self._group = file, log, data, group
-        self._kind = kind
+        self._kind, self._start_ns = kind, log.start_ns
         prefix = f"{kind}."
         self._members = {
             channel.name.removeprefix(prefix): channel
@@ -850,7 +852,7 @@ class _Group:
         payload, found = self._payload(part, first, length, held)
         self.missing += count - int(found.sum())
         frames = Frames(
-            time_ns(self._file, self._master, part, first) + self._log.start_ns,
+            time_ns(self._file, self._master, part, first) + self._start_ns,
             identifier & np.uint32(_ID_MASK),
             flags,
             bus.astype(np.uint16),

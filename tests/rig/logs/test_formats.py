@@ -13,7 +13,7 @@ from can_rig.errors import LogError
 from can_rig.logs.frames import Window, concatenate
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
-from tests.helpers import asked
+from tests.helpers import asked, refused
 from tests.rig.logs.candump_samples import rows, whole, written
 from tests.rig.logs.messages import from_messages
 from tests.rig.logs.samples import (
@@ -46,6 +46,7 @@ def test_what_python_can_wrote(tmp_path, suffix):
     assert content(frames) == content(sent)
     assert abs(relative_ns(frames) - relative_ns(sent)).max() <= 1000
     assert abs(frames.time_ns - sent.time_ns).max() <= 1_000_000  # ASC's header: milliseconds
+    assert 0 <= frames.time_ns[0] - log.start_ns <= 1_000_000  # an MF4 says when it was written
     numbers = np.array([int(name) for name in frames.channels])[frames.channel]
     bus = np.array([message.channel for message in messages])
     assert (numbers - bus == numbers[0] - bus[0]).all()  # PEAK counts them from 1
@@ -176,6 +177,9 @@ def test_a_part_of_the_recording(tmp_path):
     assert [row[5][0] for row in rows(whole(out))] == list(range(21, 35, 2))
     for bounds in (("--from", "3", "--to", "2"), ("--from", "nan"), ("--to", "1e300")):
         assert asked("convert", path, tmp_path / "c.log", *bounds).returncode == 2
+    for bounds in (("--from", 9.95), ("--to", 0), ("--from", 2.01, "--to", 2.02)):
+        said = refused("convert", path, tmp_path / "c.log", *bounds)
+        assert said.endswith("has no frame between --from and --to, the last is at 9.9 s")
 
 
 @pytest.mark.parametrize(
