@@ -41,7 +41,12 @@ _SHOWN: Final = 5  # unknown identifiers in the table
     help="Only this signal, as Signal or Message.Signal; repeatable.",
 )
 @click.option("--relative", is_flag=True, help="Count time from the start of the recording.")
-@click.option("--names", is_flag=True, help="Write the words of value tables, not their codes.")
+@click.option(
+    "--names",
+    is_flag=True,
+    help="Write the words of value tables, not their codes; an MF4 always has the codes, with the "
+    "words as comments.",
+)
 @force_option
 @json_option("The counts as one JSON object.")
 def command(

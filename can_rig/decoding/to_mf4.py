@@ -19,7 +19,7 @@ class DecodedMf4:
 
     Time is in float64 seconds since ``start_ns``, as in every MDF file; the sample of a signal that
     is not in a frame is marked invalid. Integers of more than 64 bits are rounded to
-    float64.
+    float64. A message without signals has no group, because asammdf adds none without a channel.
     """
 
     def __init__(self, path: Path, contents: Contents) -> None:
@@ -33,6 +33,8 @@ class DecodedMf4:
     def write(self, chunk: Mapping[str, MessageColumns]) -> None:
         """Add the messages of a chunk."""
         for name, columns in chunk.items():
+            if not columns.signals:
+                continue
             time_s = (columns.time_ns - self._start_ns) / NS_PER_S
             if name in self._groups:
                 pairs = [_samples(values) for values in columns.signals.values()]

@@ -121,6 +121,18 @@ def test_frames_that_become_too_short_in_an_mdf_file(tmp_path):
         assert opened.get("Temp").timestamps.tolist() == [0]
 
 
+def test_a_message_without_signals_has_no_group_in_an_mdf_file(tmp_path):
+    database = cantools.database.load_string("BO_ 1 BARE: 8 A\n", "dbc")
+    decoder = Decoder(database)
+    with output(tmp_path / "a.mf4", Contents({}, 0, False), force=False) as file:
+        for at in range(2):
+            sent = Message(at, 1, is_extended_id=False, data=bytes(8))
+            file.write(decoder.decode(from_messages([sent])))
+    assert decoder.counts["BARE"].decoded == 2
+    with asammdf.MDF(tmp_path / "a.mf4") as opened:
+        assert opened.groups == []
+
+
 def test_channels_are_told_apart():
     database = cantools.database.load_string(FEATURES, "dbc")
     frames = [
