@@ -136,6 +136,10 @@ def _draw(
 FIRST_DATE_NS: Final = 10**9 * NS_PER_S
 """From here on a time stamp is a date, counted since 1970."""
 
+_WORD_HEIGHT: Final = 0.14
+_MOST_HEIGHT: Final = 6.0
+"""Heights of a word and of the highest panel of words, in parts of the lowest such panel."""
+
 Pair = tuple[str, str]
 
 
@@ -153,33 +157,44 @@ def plot_page(
         start_ns: when the recording began; if the start is a date, the axis counts from the date.
         scenario: the times of its faults and disturbances are shaded and named.
     """
+    dated = start_ns >= FIRST_DATE_NS
+    zero_ns = start_ns if dated else 0
     often = Counter(signal for _, signal in signals)
     panels: dict[tuple[str, str], list[Pair]] = {}
     for message, signal in signals:
         layout = messages[message].layout[signal]
         key = ("words", f"{message}.{signal}") if layout.is_enumeration else ("unit", layout.unit)
         panels.setdefault(key, []).append((message, signal))
-    heights = [1.0 if kind == "words" else 1.6 for kind, _ in panels]
+    codes = {  # that occur, in the panels of words, which have one signal each
+        panel: np.unique(curve(messages[pairs[0][0]], pairs[0][1], zero_ns)[1])
+        for panel, pairs in panels.items()
+        if panel[0] == "words"
+    }
+    heights = [
+        min(max(1.0, _WORD_HEIGHT * len(codes[panel])), _MOST_HEIGHT) if panel in codes else 1.6
+        for panel in panels
+    ]
     figure = style.page(0.8 + 1.45 * sum(heights))
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=heights)
     axes = [row[0] for row in grid]
-    dated = start_ns >= FIRST_DATE_NS
-    for axis, ((kind, unit), pairs) in zip(axes, panels.items(), strict=True):
+    for axis, (panel, pairs) in zip(axes, panels.items(), strict=True):
         for at, (message, signal) in enumerate(pairs):
-            columns = messages[message]
-            time_s, values = curve(columns, signal, start_ns if dated else 0)
+            time_s, values = curve(messages[message], signal, zero_ns)
+            if panel in codes:  # evenly spaced: beside a far code such as 255 words would collide
+                values = np.searchsorted(codes[panel], values).astype(np.float64)
             axis.step(
                 *thinned(time_s, values),
                 where="post",
                 label=style.in_a_line(
                     signal if often[signal] == 1 else f"{message}.{signal}",
-                    unit or "" if kind == "unit" else "",
+                    "" if panel in codes else panel[1] or "",
                 ),
                 **style.SERIES[at % len(style.SERIES)],
             )
         style.ruled(axis)
-        if kind == "words":
-            _words(axis, messages[pairs[0][0]], pairs[0][1])
+        axis.yaxis.get_offset_text().set_horizontalalignment("right")  # beside the legend
+        if panel in codes:
+            _words(axis, messages[message].layout[signal].choices, codes[panel])
         named = scenario is not None and axis is axes[0]
         style.legend_above(axis, "left", raised=0.12 if named else 0.0)
     if scenario is not None and not dated:
@@ -205,14 +220,13 @@ def curve(columns: MessageColumns, signal: str, zero_ns: int) -> tuple[FloatArra
     return time_s, values.astype(np.float64, copy=False)
 
 
-def _words(axis: Axes, columns: MessageColumns, signal: str) -> None:
-    """The words of the value table that occur, beside their codes."""
-    codes = np.ma.getdata(columns.codes[signal])[~np.ma.getmaskarray(columns.codes[signal])]
-    choices = columns.layout[signal].choices
-    used = np.unique(codes).tolist()
-    words = (f"{choices.get(int(code), '?')} ({code})" for code in used)
-    axis.set_yticks(used, [style.plain(word) for word in words])
-    axis.set_ylim(min(used) - 0.4, max(used) + 0.4)
+def _words(axis: Axes, choices: Mapping[int, str], codes: FloatArray) -> None:
+    """The words of the value table that occur, beside their codes; of too many, some."""
+    every = -(-len(codes) * _WORD_HEIGHT // _MOST_HEIGHT)
+    shown = np.arange(0, len(codes), max(int(every), 1))
+    words = (f"{choices.get(int(code), '?')} ({code:.0f})" for code in codes[shown])
+    axis.set_yticks(shown, [style.plain(word) for word in words])
+    axis.set_ylim(-0.4, len(codes) - 0.6)
 
 
 def _time_label(start_ns: int) -> str:

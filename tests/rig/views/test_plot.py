@@ -1,5 +1,6 @@
 """Signals of any log through any DBC: which are drawn, where, and with what beside the axes."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,31 @@ def test_one_panel_a_unit_words_on_the_axis_and_a_date(car):
         "RUN (2)",
     ]
     assert temperature.get_xlabel() == "time in s since 2023-11-14 22:13:20 UTC"
+
+
+def test_neither_words_nor_numbers_lie_upon_each_other(tmp_path):
+    """Codes of a byte, close together and one far away; and numbers with a power of ten."""
+    log, dbc = tmp_path / "a.log", tmp_path / "a.dbc"
+    dbc.write_text(
+        'BO_ 1 A: 8 X\n SG_ Gear : 0|8@1+ (1,0) [0|0] "" X\n'
+        ' SG_ Count : 32|32@1+ (1,0) [0|0] "" X\n'
+        'VAL_ 1 Gear 0 "P" 1 "R" 2 "N" 255 "not available" ;\n'
+    )
+    codes = [0, 255, 1, 2, *range(3, 20)]
+    log.write_text(
+        "".join(f"({code}.0) can0 001#{code:02X}0000000000{code:02X}40\n" for code in codes)
+    )
+    page = plot_page(decode_log(log, dbc), [("A", "Gear"), ("A", "Count")], 0)
+    page.canvas.draw()
+    gear, count = page.axes
+    words = gear.get_yticklabels()
+    assert [word.get_text() for word in words[:4]] == ["P (0)", "R (1)", "N (2)", "? (3)"]
+    assert words[-1].get_text() == "not available (255)"
+    boxes = [word.get_window_extent() for word in words]
+    assert all(below.y1 <= above.y0 for below, above in pairwise(boxes))
+    power = count.yaxis.get_offset_text()
+    assert power.get_text() == "1e9"
+    assert power.get_window_extent().x1 <= count.get_legend().get_window_extent().x0 + 1
 
 
 def test_a_run_folder_has_its_own_dbc_and_fault(tmp_path):
