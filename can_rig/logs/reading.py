@@ -46,7 +46,7 @@ def read_log(path: str | Path, chunk_frames: int = 1 << 18, window: Window = ALL
 
     Args:
         path: a log of a supported format; text may be gzipped. The first bytes decide the format,
-            or else the suffix.
+            or else the suffix; a pipe without a suffix is of candump.
         chunk_frames: largest number of frames in a chunk, which bounds the memory.
         window: the part of the recording to read.
 
@@ -55,6 +55,8 @@ def read_log(path: str | Path, chunk_frames: int = 1 << 18, window: Window = ALL
     """
     path = Path(path)
     found = content_format(path)
+    if found is None and not path.suffix and (path.is_fifo() or path.is_socket()):
+        found = CANDUMP
     if found is None and not path.exists():
         raise LogError(f"{path}: there is no such file")
     return Log(path, found or format_of(path), chunk_frames, window)

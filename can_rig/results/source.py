@@ -106,7 +106,7 @@ def source_of(
 
 
 def log_path(path: Path) -> Path:
-    """The log of a run folder, or the file itself.
+    """The log of a run folder, or the file itself; ``-`` is standard input.
 
     Raises:
         LogError: the log is missing.
@@ -116,6 +116,8 @@ def log_path(path: Path) -> Path:
             raise LogError(f"{path}: not a run folder, it has no {LOG}")
         return log_of(path)
     if not path.exists():
+        if path == Path("-"):
+            return Path("/dev/stdin")
         raise LogError(f"{path}: there is no such file")
     return path
 

@@ -49,7 +49,7 @@ def refuse_existing(path: Path, force: bool, option: str, *, new_folder: bool = 
     Raises:
         LogError: the reason.
     """
-    if new_folder and path.parent.suffix.lower() in PICTURES:
+    if new_folder and (path.parent.suffix.lower() in PICTURES or path.parent == Path("-")):
         raise LogError(f"{path.parent}: {option} must name a folder, for {path.name}")
     if path.is_dir():
         raise LogError(f"{path}: is a folder; {option} must name a file")

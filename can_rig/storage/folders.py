@@ -133,8 +133,10 @@ def followed(path: Path) -> Path:
     """The folder behind ``path``, with links resolved and a real name.
 
     Raises:
-        RunFolderError: it is a link to nothing.
+        RunFolderError: it is a link to nothing, or ``-``, standard output elsewhere.
     """
+    if path == Path("-"):
+        raise RunFolderError("-: must be the name of a folder; none is written to standard output")
     if path.is_symlink() and not path.exists():
         raise RunFolderError(f"{path}: is a link to nothing; must be a folder, or not there")
     return path.resolve() if path.is_symlink() or path.name in {"", ".."} else path

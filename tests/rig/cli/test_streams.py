@@ -109,3 +109,20 @@ def test_ctrl_c_in_a_destructor_is_neither_lost_nor_a_traceback():
     command = [sys.executable, "-c", SWALLOWED]
     done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (0, "stopped\n", "")
+
+
+def test_a_log_comes_from_standard_input(tmp_path):
+    """As ``candump -L can0 | can-rig decode -`` has it: a pipe, whose name has no suffix."""
+    text = "(1.0) can0 001#07\n(1.1) can0 001#\n"
+    dbc = tmp_path / "a.dbc"
+    dbc.write_text('BO_ 1 A: 1 X\n SG_ V : 0|8@1+ (1,0) [0|0] "" X\n')
+    done = rig("decode", "-", "--dbc", dbc, "--out", tmp_path / "a.csv", input=text)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "a.csv").read_text() == '"time_s","message","A.V"\n1,"A",7\n'
+
+
+@pytest.mark.parametrize("words", [("decode", LOG), ("run", *SHORT), ("figures",)], ids=str)
+def test_no_folder_is_named_as_standard_output(words, tmp_path):
+    done = rig(*words, "--out", "-", cwd=tmp_path)
+    assert (done.returncode, done.stdout, [*tmp_path.iterdir()]) == (2, "", [])
+    assert done.stderr.startswith("error: -: ") and "must" in done.stderr
