@@ -65,6 +65,8 @@ def require_possible(command: Command) -> None:
     for_s = command.duration_s
     if for_s is not None and not SHORTEST_S <= for_s <= LONGEST_S:
         raise RigError(f"for {for_s:g} s: must be {SHORTEST_S:g} to {LONGEST_S:g} s, or left out")
+    if for_s is not None and abs(for_s / SHORTEST_S - round(for_s / SHORTEST_S)) > 1e-6:
+        raise RigError(f"for {for_s:g} s: must be a multiple of {SHORTEST_S:g} s, as the frame has")
     if command.action == "STEP" and (value is None or value < 1 or value != round(value)):
         raise RigError(f"step {value:g}: must be a whole number of ticks, 1 at least")
     if command.action == "PACE" and (value is None or value < 0):

@@ -219,6 +219,7 @@ def test_what_an_actuator_adds_is_no_bias_of_d():
         (Command("INJECT", "actuator-late", "torque", 2.4), "must be a whole number of ticks"),
         (Command("INJECT", "actuator-dead", "sensor"), "must be torque or force-difference"),
         (Command("INJECT", "actuator-dead", "torque", 0.0, 60.0), "must be 0.1 to 25.5 s"),
+        (Command("INJECT", "actuator-dead", "torque", 0.0, 0.15), "must be a multiple of 0.1 s"),
         (Command("INJECT", "sensor-biased", "sensor", 0.0004), "must be 0 or at least 0.001"),
         (Command("MOVE_REFERENCE", value=math.nan), "value nan: must be -8388.607 to 8388.607"),
         (Command("MOVE_REFERENCE", value=1e9), "must be -8388.607 to 8388.607"),
