@@ -32,6 +32,9 @@ ARGUMENTS: Final = {
 INTERRUPTED: Final = 130
 """Exit status after Ctrl-C, following shells."""
 
+UNREAD: Final = 141
+"""Exit status after the reader of the output has ended, such as head, following shells."""
+
 
 def one_line(error: BaseException) -> str:
     """What ``error`` says, on one line; of the operating system the file and the reason."""

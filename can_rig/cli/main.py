@@ -11,7 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from can_rig.cli.startup import announce_compilation, collect_again, raise_again
-from can_rig.errors import INTERRUPTED, RigError
+from can_rig.errors import INTERRUPTED, UNREAD, RigError
 
 COMMANDS: Final = {
     "run": ("run", "Run both nodes through SCENARIO and write the run folder."),
@@ -80,6 +80,9 @@ class Commands(click.Group):
             parts = re.finditer(r"[^\r\n<>]+", error.object)  # a whole page may have the name
             name = next(part[0] for part in parts if part.end() > error.start)
             _refuse(f"{name.strip('; ')}: must be a name in UTF-8", 2)
+        except BrokenPipeError:  # click would end with 1, a command's no
+            sys.stdout = None
+            sys.exit(UNREAD)
         except KeyboardInterrupt:  # where no command has taken the signal for a wish to stop
             sys.exit(INTERRUPTED)
 

@@ -11,17 +11,30 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from textwrap import wrap
 from typing import TYPE_CHECKING, TextIO
 
+from rich import console as rich_console
 from rich.cells import cell_len
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from can_rig.errors import UNREAD
+
 if TYPE_CHECKING:  # NumPy and python-can are not needed to print
     from can_rig.logs.frames import Frames, Log
+
+
+class Console(rich_console.Console):
+    """A console that ends a command by a status of its own where nobody reads the output."""
+
+    def on_broken_pipe(self) -> None:
+        """End; rich ends with 1, which is a command's no."""
+        with suppress(SystemExit):
+            super().on_broken_pipe()
+        sys.exit(UNREAD)
+
 
 WIDE = 10_000
 """Most characters of a line of a wide table, wherever it goes."""

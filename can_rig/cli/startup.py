@@ -20,7 +20,7 @@ from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import LazyLoader
 from types import ModuleType
 
-from can_rig.errors import INTERRUPTED, RigError, one_line
+from can_rig.errors import INTERRUPTED, UNREAD, RigError, one_line
 
 
 def end_at_once() -> None:
@@ -144,7 +144,7 @@ def refusals_in_one_line() -> Iterator[None]:
                 sys.stdout.flush()
     except BrokenPipeError:  # whoever read it, such as head, has seen enough
         sys.stdout = None
-        sys.exit(1)
+        sys.exit(UNREAD)
     except OSError as error:
         with suppress(OSError):  # standard error may be full too
             print(f"error: {_reason(error)}", file=sys.stderr)

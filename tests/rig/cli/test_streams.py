@@ -111,6 +111,16 @@ def test_ctrl_c_in_a_destructor_is_neither_lost_nor_a_traceback():
     assert (done.returncode, done.stdout, done.stderr) == (0, "stopped\n", "")
 
 
+@pytest.mark.parametrize("words", [("check", "thesis-step"), ("check", "--json")], ids=" ".join)
+def test_a_reader_that_has_ended_is_no_answer(words):
+    """Exit status 1 of ``check | head -1`` says that the loop is not stable."""
+    read, written = os.pipe()
+    os.close(read)
+    done = rig(*words, stdout=written)
+    os.close(written)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
 def test_a_log_comes_from_standard_input(tmp_path):
     """As ``candump -L can0 | can-rig decode -`` has it: a pipe, whose name has no suffix."""
     text = "(1.0) can0 001#07\n(1.1) can0 001#\n"
