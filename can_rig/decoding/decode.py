@@ -118,6 +118,13 @@ class Decoder:
             return None
         return f"no frame on bus {missing[0]}; the log has {', '.join(self._channels)}"
 
+    def names(self) -> dict[tuple[int, bool], str]:
+        """The names of the messages by (identifier, extended)."""
+        return {
+            (decoder.message.frame_id, decoder.message.is_extended_frame): name
+            for name, decoder in self.messages.items()
+        }
+
     def name_of(self, identifier: int, is_extended: bool, bus: str) -> str | None:
         """The name of the message with the identifier on a bus; None: unknown."""
         found = (p.name_of(identifier, is_extended) for on, p in self._parts if on in (None, bus))
