@@ -19,7 +19,6 @@ import pytest
 
 import can_rig
 from can_rig import api, errors
-from can_rig.api import RecordedRun
 from can_rig.assessment.stability import StabilityCheck
 from can_rig.campaigns import rows
 from can_rig.campaigns.statistics import Summary
@@ -29,6 +28,7 @@ from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY
 from can_rig.views import recorded_run
 from can_rig.views.diff import Difference
 from can_rig.views.log_statistics import LogStatistics
+from can_rig.views.recorded_run import RecordedRun
 from tests.helpers import DBC, asked, record
 
 SHORT = {"fault.at_s": 0.2, "duration_s": 0.4, "fault": {"kind": "actuator-dead"}}
