@@ -402,5 +402,7 @@ def _require_names(
     for wanted, there, kind in ((messages, known, "message"), (signals, inside, "signal")):
         for name in wanted or ():
             if name not in there:
-                near = get_close_matches(name, there, 3, 0.5) or sorted(set(there))[:5]
+                by_lower = {one.lower(): one for one in there}
+                close = get_close_matches(name.lower(), by_lower, 3, 0.5)
+                near = [by_lower[one] for one in close] or sorted(set(there))[:5]
                 raise DbcError(f"no {kind} {name} in the database; it has {', '.join(near)}, …")

@@ -222,6 +222,7 @@ def test_a_missing_end_is_said_and_the_rest_decoded(drive, tmp_path):
         (["{log}", "--dbc", "no.dbc"], "no.dbc: cannot be read"),
         (["{log}", "--message", "DSTAR"], "no message DSTAR in the database; it has DSTAR_"),
         (["{log}", "--signal", "dstar"], "no signal dstar in the database; it has DStar"),
+        (["{log}", "--message", "dstar_mode"], "no message dstar_mode in the database; it has DSTAR_"),
         (["{log}", "--out", "a.xlsx"],
          "a.xlsx: cannot be written as .xlsx; it must be .csv, .parquet"),
         (["{log}", "--out", "/proc/a.csv"], "/proc/a.csv: cannot be written")],
@@ -269,13 +270,12 @@ def test_an_empty_file_is_no_log(name, tmp_path):
     assert not (tmp_path / "a.csv").exists()
 
 
-def test_a_part_without_a_frame_gives_an_empty_table(tmp_path):
+def test_a_part_without_a_frame_is_refused_with_the_time_of_the_last(tmp_path):
     """The log itself is a log, as its other parts show."""
-    (tmp_path / "a.log").write_text("(1.000000) can0 123#00\n")
-    command = ("decode", tmp_path / "a.log", "--from", "5", "--out", tmp_path / "a.csv")
-    done = asked(*command)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert len(pd.read_csv(tmp_path / "a.csv")) == 0
+    (tmp_path / "a.log").write_text("(1.000000) can0 123#00\n(3.500000) can0 123#00\n")
+    said = refused("decode", tmp_path / "a.log", "--from", "5", "--out", tmp_path / "a.csv")
+    assert said.endswith("a.log: has no frame between --from and --to, the last is at 2.5 s")
+    assert not (tmp_path / "a.csv").exists()
 
 
 def test_unknown_identifiers_are_told_from_their_counts(tmp_path):
