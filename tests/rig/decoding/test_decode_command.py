@@ -222,7 +222,7 @@ def test_a_missing_end_is_said_and_the_rest_decoded(drive, tmp_path):
         (["{log}", "--dbc", "no.dbc"], "no.dbc: cannot be read"),
         (["{log}", "--message", "DSTAR"], "no message DSTAR in the database; it has DSTAR_"),
         (["{log}", "--signal", "dstar"], "no signal dstar in the database; it has DStar"),
-        (["{log}", "--message", "dstar_mode"], "no message dstar_mode in the database; it has DSTAR_"),
+        (["{log}", "--message", "dstar"], "no message dstar in the database; it has DSTAR_"),
         (["{log}", "--out", "a.xlsx"],
          "a.xlsx: cannot be written as .xlsx; it must be .csv, .parquet"),
         (["{log}", "--out", "/proc/a.csv"], "/proc/a.csv: cannot be written")],
