@@ -13,7 +13,7 @@ import numpy as np
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.message_decoder import MessageColumns
 from can_rig.errors import LogError
-from can_rig.logs.frames import Frames, Log, concatenate
+from can_rig.logs.frames import ALL, Frames, Log, concatenate
 from can_rig.storage.files import atomic, refuse_existing
 from can_rig.storage.folders import Kind, refuse_folder, whole_folder
 
@@ -160,7 +160,7 @@ def decode_to_files(
                 writer.write(chunk)
         if writers is None:
             # Without a header, any text could be a log.
-            if log.format.key == ".log":
+            if log.format.key == ".log" and log.window == ALL:
                 raise LogError(
                     f"{log.path}: has no frame in it; must be a log as candump -L writes it"
                 )

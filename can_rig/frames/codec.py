@@ -475,6 +475,10 @@ class Record(NamedTuple):
     """Verdict on the fault's cause, a key of `MessageCodec.verdicts`; 0 likewise."""
 
 
+NO_RECORD: Final = Record(math.nan, -1)
+"""In place of a frame that has not come: of no tick."""
+
+
 @dataclass(frozen=True, slots=True)
 class MessageCodec:
     """One frame: its definition in the DBC, and the conversion between its value and its bytes."""

@@ -196,8 +196,8 @@ class Log:
     """A log; iteration may be repeated; each chunk is a `Frames`.
 
     Raises (during iteration):
-        LogError: the file cannot be read, its content is not of its format, or the window has none
-            of its frames; the one-line message names the file and the place.
+        LogError: the file cannot be read, its content is not of its format, or the window begins
+            after the last frame; the one-line message names the file and the place.
     """
 
     path: Path
@@ -243,9 +243,9 @@ class Log:
                     yield frames if inside.all() else frames[inside]
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read: {error.strerror}") from None
-        if empty and last_ns != ALL.begin_ns:
+        if empty and self.window.begin_ns > last_ns != ALL.begin_ns:
             last = f"the last is at {last_ns / NS_PER_S:g} s"
-            raise LogError(f"{self.path}: has no frame between --from and --to, {last}")
+            raise LogError(f"{self.path}: has no frame after --from, {last}")
 
 
 Writer = Callable[[Iterable[Frames], Path, int, Path], None]

@@ -28,7 +28,7 @@ from can_rig.controllers.protocol import (
     rejected,
 )
 from can_rig.errors import ExportError, ScenarioError
-from can_rig.frames.codec import WIRE_TICKS, Receiver, Record, tick_from, ticks_ahead
+from can_rig.frames.codec import NO_RECORD, WIRE_TICKS, Receiver, tick_from, ticks_ahead
 from can_rig.frames.network import Network, flagged, unflagged
 from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Clock, NodeBus, Send, Watchdog
 from can_rig.nodes.ends import COMMANDS, ControllerEnd, PlantEnd, Rejected, all_rejected
@@ -296,9 +296,6 @@ class AnsweringNode(ABC):
         watchdog.hear()
 
 
-NO_REFERENCE: Final = Record(math.nan, -1)
-
-
 class Actuation(Protocol):
     """The recorded timing of commands, for replay."""
 
@@ -343,7 +340,7 @@ class ControllerNode(AnsweringNode):
 
     def _begin(self) -> None:
         self._controller = self._powered_up()
-        self._reference_now = NO_REFERENCE
+        self._reference_now = NO_RECORD
         self._speed_now = math.nan
         self._expected: int | None = None  # the first contact sets the tick
         self._first: dict[int, can.Message] = {}  # heard before the first contact, by identifier
@@ -368,7 +365,7 @@ class ControllerNode(AnsweringNode):
                 *speed, reference, measurement = found
                 if speed:
                     self._speed_now = speed[0]
-                self._reference_now = NO_REFERENCE
+                self._reference_now = NO_RECORD
                 self._respond(self._expected, reference, measurement)
                 self._go_on(self._expected)
                 watchdog.hear()
@@ -439,7 +436,7 @@ class ControllerNode(AnsweringNode):
 
     def _answer(self, wire_tick: int, measurement: float) -> None:
         tick = tick_from(wire_tick, self._tick)
-        now, self._reference_now = self._reference_now, NO_REFERENCE  # its number comes again
+        now, self._reference_now = self._reference_now, NO_RECORD  # its number comes again
         reference = now.value if now.tick == wire_tick else math.nan  # none: hold, and say so
         self._respond(tick, reference, measurement)
         self._end.end_tick()

@@ -21,7 +21,7 @@ import can
 
 from can_rig.controllers.protocol import LISTEN_S, Answer, InNode, Inputs, said
 from can_rig.errors import BusError, ScenarioError, SilentNodeError
-from can_rig.frames.codec import Record, is_frame_of, tick_from, ticks_ahead
+from can_rig.frames.codec import NO_RECORD, Record, is_frame_of, tick_from, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import NS_PER_S, SYSTEM_CLOCK, Clock, Interrupted, NodeBus, Watchdog
 from can_rig.nodes.ends import ControllerEnd
@@ -126,8 +126,8 @@ class RealTimeControllerNode:
         self._missed = self._too_late = 0  # in a row: samples, commands
         self._tick = 0  # the next one
         self._expected: int | None = None  # the first contact sets the tick
-        self._reference_now = Record(math.nan, -1)
-        self._speed_now = Record(math.nan, -1)
+        self._reference_now = NO_RECORD
+        self._speed_now = NO_RECORD
         self._offered_s = 0.0  # the last reference's time stamp
         self._commands = (network.command_1, network.command_2)
         self._listened: list[Inputs] | None = []  # the inputs heard; None: the controller drives
@@ -214,12 +214,19 @@ class RealTimeControllerNode:
             if tick == 0:
                 self._listened = None  # the run begins with us
         self._expected = tick + 1
-        now = self._reference_now
-        reference = now.value if now.tick == record.tick else math.nan
-        fresh = self._speed_now.tick == record.tick
-        speed = self._speed_now.value if fresh else math.nan
+        reference, self._reference_now = self._of_tick(self._reference_now, record.tick)
+        speed, self._speed_now = self._of_tick(self._speed_now, record.tick)
         inputs = Inputs(reference, record.value, speed, self._end.witnesses.end_tick(tick))
         self._waiting.append(Sample(tick, inputs, self._offered_s))
+
+    @staticmethod
+    def _of_tick(record: Record, tick: int) -> tuple[float, Record]:
+        """The value of ``record`` in ``tick``, and what is left for later: its number comes again.
+
+        The number of a tick has 16 bits.
+        """
+        value = record.value if record.tick == tick else math.nan
+        return value, record if ticks_ahead(record.tick, tick) > 0 else NO_RECORD
 
     def _miss(
         self, ticks: range, offered_s: float = -math.inf, speed_mps: float = math.nan

@@ -270,12 +270,16 @@ def test_an_empty_file_is_no_log(name, tmp_path):
     assert not (tmp_path / "a.csv").exists()
 
 
-def test_a_part_without_a_frame_is_refused_with_the_time_of_the_last(tmp_path):
+def test_a_silent_part_gives_an_empty_table_and_a_part_beyond_the_end_is_refused(tmp_path):
     """The log itself is a log, as its other parts show."""
     (tmp_path / "a.log").write_text("(1.000000) can0 123#00\n(3.500000) can0 123#00\n")
     said = refused("decode", tmp_path / "a.log", "--from", "5", "--out", tmp_path / "a.csv")
-    assert said.endswith("a.log: has no frame between --from and --to, the last is at 2.5 s")
+    assert said.endswith("a.log: has no frame after --from, the last is at 2.5 s")
     assert not (tmp_path / "a.csv").exists()
+    silent = ("decode", tmp_path / "a.log", "--from", "1", "--to", "2")
+    done = asked(*silent, "--out", tmp_path / "a.csv")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(pd.read_csv(tmp_path / "a.csv")) == 0
 
 
 def test_unknown_identifiers_are_told_from_their_counts(tmp_path):

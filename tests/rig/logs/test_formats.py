@@ -177,9 +177,8 @@ def test_a_part_of_the_recording(tmp_path):
     assert [row[5][0] for row in rows(whole(out))] == list(range(21, 35, 2))
     for bounds in (("--from", "3", "--to", "2"), ("--from", "nan"), ("--to", "1e300")):
         assert asked("convert", path, tmp_path / "c.log", *bounds).returncode == 2
-    for bounds in (("--from", 9.95), ("--to", 0), ("--from", 2.01, "--to", 2.02)):
-        said = refused("convert", path, tmp_path / "c.log", *bounds)
-        assert said.endswith("has no frame between --from and --to, the last is at 9.9 s")
+    said = refused("convert", path, tmp_path / "c.log", "--from", 9.95)
+    assert said.endswith("has no frame after --from, the last is at 9.9 s")
 
 
 @pytest.mark.parametrize(

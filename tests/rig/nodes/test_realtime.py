@@ -16,6 +16,7 @@ from can_rig.nodes.realtime.timing import CATCH_UP_TICKS, Schedule
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import load
+from firmware_model.firmware import PYTHON_LAW
 from firmware_model.law.status import FaultState, Mode, Verdict
 from tests.helpers import NAMES, decoded, record
 from tests.rig.nodes.world import (
@@ -425,3 +426,25 @@ def test_a_controller_slower_than_its_tick_is_refused_before_the_run():
     warm_up(scenario, network_of(scenario), start(900_000), world)
     with pytest.raises(ScenarioError, match=r"too slow in real time: a step takes 1\.1 ms"):
         warm_up(scenario, network_of(scenario), start(1_100_000), world)
+
+
+def test_an_old_reference_does_not_come_back_when_the_number_of_its_tick_does():
+    """A tick has 16 bits; after each gap the controller listens before it drives again."""
+    world, heard = World(load("ideal")), []
+
+    class Noting(OurLaw):
+        def step(self, inputs):
+            heard.append(inputs.reference)
+            return super().step(inputs)
+
+    world.slow = lambda scenario, network: Noting(scenario, network, PYTHON_LAW)
+    world.start_controller()
+    reference, feedback = Transmitter(world.network.reference), Transmitter(world.network.feedback)
+    for tick in [*range(10), 30_000, 60_000, *range(2**16 - 990, 2**16 + 10)]:
+        if tick < 10:
+            world.send(reference.frame(0.5, tick))
+        world.send(feedback.frame(0.0, tick))
+        world.controller_ns = world.ns = world.ns + TICK_NS
+        world.controller.serve(world.watchdog)
+    assert heard[:10] == pytest.approx([0.5] * 10)
+    assert len(heard) > 500 and np.isnan(heard[10:]).all()
