@@ -61,7 +61,7 @@ def support(name: str, parts: Collection[str] = (), **values: str) -> str:
 def parts_of(texts: Mapping[str, str]) -> set[str]:
     """Parts of handwritten files that go with the files of a law or of a whole node."""
     marks = {
-        BLENDS: ("schedule.c", "schedule_"), NODE: ("ecu.c", "ecu_"),
+        BLENDS: ("schedule.c", ""), NODE: ("ecu.c", ""),
         HEARS: ("frames.h", "frame_speed"), SENSORS: ("ecu.h", "ECU_SENSORS"),
     }  # fmt: skip
     return {part for part, (name, mark) in marks.items() if mark in texts.get(name, ())}

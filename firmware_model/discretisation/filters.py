@@ -106,8 +106,8 @@ SOURCE: Final = Template("""\
     defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__)
 #error "the filter needs IEEE 754 arithmetic: compile without -ffast-math and its parts"
 #endif
-#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0
-#error "the filter must be rounded after every operation: FLT_EVAL_METHOD must be 0"
+#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && FLT_EVAL_METHOD != 16
+#error "the filter must be rounded after every operation: FLT_EVAL_METHOD must be 0 or 16"
 #endif
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF

@@ -34,7 +34,7 @@ def test_the_exit_statuses_are_those_of_the_errors():
     listed = {int(cell) for cell, *_ in table(COMMANDS, "exit status")}
     kinds: list[type[errors.RigError]] = [errors.RigError, *errors.RigError.__subclasses__()]
     found = {error.exit_status for error in kinds}
-    assert listed == found | {0, 1, errors.INTERRUPTED}
+    assert listed == found | {0, 1, errors.INTERRUPTED, errors.UNREAD}
 
 
 def test_the_files_of_a_run_folder_are_named():

@@ -16,8 +16,8 @@
     defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__)
 #error "the control law needs IEEE 754 arithmetic: compile without -ffast-math and its parts"
 #endif
-#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0
-#error "the control law must be rounded after every operation: FLT_EVAL_METHOD must be 0"
+#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && FLT_EVAL_METHOD != 16
+#error "the control law must be rounded after every operation: FLT_EVAL_METHOD must be 0 or 16"
 #endif
 
 typedef {real} real;

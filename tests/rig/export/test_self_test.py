@@ -93,6 +93,16 @@ def test_another_processor_computes_the_same(processor, options, built, tmp_path
 
 
 @pytest.mark.long
+def test_half_precision_of_a_new_processor_is_no_refusal(built, tmp_path):
+    """There gcc says FLT_EVAL_METHOD = 16: no float and no double is evaluated more widely."""
+    check = ["gcc", "-std=gnu17", "-march=sapphirerapids", "-fsyntax-only"]
+    (tmp_path / "none.c").touch()
+    if subprocess.run([*check, tmp_path / "none.c"], check=False, capture_output=True).returncode:
+        pytest.skip("gcc is not installed, or compiles for no such processor")
+    run(*check, built("float32") / "biquad.c")
+
+
+@pytest.mark.long
 @pytest.mark.parametrize(("compiler", "precision"), [("gcc", "float64"), ("clang", "float32")])
 def test_no_compiler_and_no_option_differs_silently(compiler, precision, built, tmp_path):
     if shutil.which(compiler) is None:
