@@ -51,8 +51,7 @@ void ecu_send(const struct ecu *ecu, uint32_t id, uint8_t length, const uint8_t 
     put(node, (is_fd ? FD_FRAME_HEAD : FRAME_HEAD) + (uint32_t)length, 4);
     put(node, id & numbers, 4);
     put(node, (id & extended) != 0u, 1);
-    put(node, is_fd, 1); /* the bit rate switches; no remote frame */
-    put(node, 0, is_fd ? 1 : 0);
+    put(node, 0, is_fd ? 2 : 1); /* the bit rate stays, no error is announced; no remote frame */
     put_bytes(node, data, length);
 }
 

@@ -259,8 +259,9 @@ class OnTheBus:
 def transmit(frame: can.Message) -> bytes:
     """The operation of FMI-LS-BUS 1.0 that sends a frame."""
     if frame.is_fd:
-        head = struct.pack("<IIIBBBH", 0x11, 17 + len(frame.data), frame.arbitration_id,
-                           frame.is_extended_id, 1, 0, len(frame.data))  # fmt: skip
+        flags = frame.is_extended_id, frame.bitrate_switch, frame.error_state_indicator
+        n = len(frame.data)
+        head = struct.pack("<IIIBBBH", 0x11, 17 + n, frame.arbitration_id, *flags, n)
     else:
         head = struct.pack("<IIIBBH", 0x10, 16 + len(frame.data), frame.arbitration_id,
                            frame.is_extended_id, 0, len(frame.data))  # fmt: skip
