@@ -94,7 +94,7 @@ def legend_above(axis: Axes, side: Literal["left", "right"] = "right", raised: f
 def shade_all(axis: Axes, scenario: Scenario | None) -> None:
     """Shade the times of all faults and disturbances that the axis shows; a line where each begins.
 
-    Without a scenario nothing is known of them.
+    A log without a scenario has no known faults.
     """
     low, high = axis.get_xlim()
     for each in () if scenario is None else scenario.spells:

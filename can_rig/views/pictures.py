@@ -165,7 +165,7 @@ def plot_page(
         layout = messages[message].layout[signal]
         key = ("words", f"{message}.{signal}") if layout.is_enumeration else ("unit", layout.unit)
         panels.setdefault(key, []).append((message, signal))
-    codes = {  # that occur, in the panels of words, which have one signal each
+    codes = {  # the codes in the data; a panel of words has one signal
         panel: np.unique(curve(messages[pairs[0][0]], pairs[0][1], zero_ns)[1])
         for panel, pairs in panels.items()
         if panel[0] == "words"
