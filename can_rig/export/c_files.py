@@ -143,6 +143,10 @@ def wrapped(line: str, indent: str, inner: str | None = None) -> list[str]:
     return [indent + line[:at].rstrip(), *wrapped(line[at:].lstrip(), inner, inner)]
 
 
+OPERATOR: Final = re.compile(r" (?:([?:])|(&&|\|\|)|([-+])|([*/])) ")
+"""An operator; the number of its group grows with its precedence."""
+
+
 def _breaks(line: str) -> list[tuple[tuple[int, int], int]]:
     """Where a line may be broken: nesting depth in brackets, precedence, and position."""
     depth, found = 0, []
@@ -157,10 +161,8 @@ def _breaks(line: str) -> list[tuple[tuple[int, int], int]]:
             found.append(((depth, 0), at + 1))
         elif line[at : at + 3] == " = ":
             found.append(((LAST_RESORT, 0), at + 2))
-        else:
-            for tightness, operators in enumerate((" [?:] ", r" (&&|\|\|) ", " [-+] ", " [*/] ")):
-                if re.match(operators, line[at:]):
-                    found.append(((depth, tightness + 1), at))
+        elif letter == " " and (operator := OPERATOR.match(line, at)):
+            found.append(((depth, operator.lastindex or 0), at))
     return found
 
 
@@ -716,35 +718,46 @@ def _enumerations(module: Module) -> list[str]:
     return lines
 
 
-def c_files(
-    program: Program, structs: list[CStruct], entries: set[str], precision: Precision
-) -> dict[str, str]:
-    """The files of a program, text by file name.
+class Checked:
+    """A program that has the same meaning in C, in either precision.
 
     Args:
         program: the program.
+        entries: C names of the functions called by other programs.
+
+    Raises:
+        ExportError: C has another order of evaluation; or see ``check_ranges``.
+    """
+
+    def __init__(self, program: Program, entries: set[str]) -> None:
+        self.program, self.entries, self.effects = program, entries, Effects(program)
+        check_ranges(program, entries, self.effects.changing)
+
+
+def c_files(checked: Checked, structs: list[CStruct], precision: Precision) -> dict[str, str]:
+    """The files of a program, text by file name.
+
+    Args:
+        checked: the program.
         structs: its memory: structs named by other programs; the functions need not use every
             struct.
-        entries: C names of the functions called by other programs.
         precision: of its real numbers.
 
     Raises:
-        ExportError: C has another meaning for a name, or another order of evaluation.
+        ExportError: C has another meaning for a name.
     """
-    return _CFiles(program, structs, entries, precision).files()
+    return _CFiles(checked, structs, precision).files()
 
 
 class _CFiles:
-    def __init__(
-        self, program: Program, structs: list[CStruct], entries: set[str], precision: Precision
-    ) -> None:
-        self._effects = Effects(program)
-        check_ranges(program, entries, self._effects.changing)
+    def __init__(self, checked: Checked, structs: list[CStruct], precision: Precision) -> None:
+        program = checked.program
+        self._effects = checked.effects
         self._program = program
         self._precision: Precision = precision
         self._names = Names(program, precision)
         self._structs = list(self._with_members(structs))
-        self._public = entries | {
+        self._public = checked.entries | {
             callee.function.c_name
             for typed in program.functions.values()
             for callee in typed.calls.values()

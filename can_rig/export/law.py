@@ -7,7 +7,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Final
 
-from can_rig.export.c_files import c_files
+from can_rig.export.c_files import Checked, c_files
 from can_rig.export.source import INT, REAL, Record, Sources, Type
 from can_rig.export.subset import Program
 from firmware_model.law import controller, layout, schedule
@@ -88,11 +88,15 @@ def number_headers(precision: Precision) -> dict[str, str]:
 
 def _target_sources() -> Sources:
     """The modules of `firmware_model.law`, read."""
-    sources = Sources()
     room = layout.__name__.rpartition(".")[0]
-    for name in sorted(sys.modules):
-        if name.startswith(f"{room}."):
-            sources.module(name)
+    return _read(tuple(name for name in sorted(sys.modules) if name.startswith(f"{room}.")))
+
+
+@cache
+def _read(modules: tuple[str, ...]) -> Sources:
+    sources = Sources()
+    for name in modules:
+        sources.module(name)
     return sources
 
 
@@ -163,14 +167,18 @@ def law_files(precision: Precision, blends: bool = False) -> dict[str, str]:
     Raises:
         ExportError: something is outside the subset.
     """
+    checked = _checked(blends)
+    memory = (schedule.Constants, schedule.State) if blends else (layout.Table, layout.State)
+    structs = [each.struct for each in _records(checked.program.sources, *memory)]
+    found = c_files(checked, structs, precision)
     if blends:
-        program, entries = speed_program(), {f"schedule_{CHANGE_SPEED}"}
-        memory = _records(program.sources, schedule.Constants, schedule.State)
-        found = c_files(program, [each.struct for each in memory], entries, precision)
         return law_files(precision) | {name: found[name] for name in ("schedule.h", "schedule.c")}
-    program, entries = law_program(), {f"controller_{name}" for name in ENTRIES}
-    entries.add(f"further_sensors_{HEAR}")
-    entries.add(f"knowledge_{SAVE}")
-    memory = _records(program.sources, layout.Table, layout.State)
-    found = c_files(program, [each.struct for each in memory], entries, precision)
     return found | number_headers(precision)
+
+
+@cache  # for both precisions
+def _checked(blends: bool) -> Checked:
+    if blends:
+        return Checked(speed_program(), {f"schedule_{CHANGE_SPEED}"})
+    entries = {f"controller_{name}" for name in ENTRIES}
+    return Checked(law_program(), entries | {f"further_sensors_{HEAR}", f"knowledge_{SAVE}"})

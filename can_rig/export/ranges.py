@@ -16,6 +16,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import nullcontext, suppress
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -92,9 +93,14 @@ class _Proof:
             for target, _ in _pairs(node)
             if isinstance(target, ast.Attribute)
         }
+        self.changed = {field for _, _, field in self.written}
         self.known: dict[Key, Range | None] = {}
         self.found: dict[Key, Range | None] = {}
         self.checking = False
+        calls = {node for typed in self._functions for node in typed.calls}
+        self.has_call = cache(lambda node: any(each in calls for each in ast.walk(node)))
+        self.path, self.in_array = cache(ast.unparse), cache(_in_array)
+        """Of a node; each pass asks for the same nodes."""
 
     def check(self) -> None:
         """Find the ranges, then check every function with them."""
@@ -222,12 +228,12 @@ class _Pass:
             self._of(target, ranges)
         if isinstance(target, ast.Subscript):
             return
-        path, last = ast.unparse(target), getattr(target, "attr", "")
+        path, last = self._proof.path(target), getattr(target, "attr", "")
         same = f".{last}" if last else None
         for other in list(ranges):  # other names of the same memory, and members of the old record
             if other == path or other.startswith(f"{path}.") or (same and other.endswith(same)):
                 del ranges[other]
-        if value is not None and not _in_array(target):
+        if value is not None and not self._proof.in_array(target):
             ranges[path] = value
         if isinstance(target, ast.Attribute) and self._type_of(target) is INT:
             owner = self._type_of(target.value)
@@ -345,7 +351,7 @@ class _Pass:
         self._of(node.value, ranges)
         if kind not in (INT, REAL) or not isinstance(owner, Record):
             return None
-        known = ranges.get(ast.unparse(node))
+        known = ranges.get(self._proof.path(node))
         return self._proof.of_field(owner.struct, node.attr) if not known and kind is INT else known
 
     def _check_index(self, node: ast.Subscript, ranges: Ranges) -> None:
@@ -407,11 +413,10 @@ class _Pass:
 
     def _forget(self, node: ast.expr | None, ranges: Ranges) -> None:
         """Forget the fields that a call may have changed, if ``node`` has a call; None: a call."""
-        if node is not None and not any(each in self._typed.calls for each in ast.walk(node)):
+        if node is not None and not self._proof.has_call(node):
             return
-        written = {field for _, _, field in self._proof.written}
         for path in list(ranges):
-            if "." in path and path.rpartition(".")[2] in written:
+            if "." in path and path.rpartition(".")[2] in self._proof.changed:
                 del ranges[path]
 
     # --- conditions ------------------------------------------------------------------------------
@@ -457,7 +462,7 @@ class _Pass:
         self, node: ast.expr, op: type[ast.cmpop], limit: Range, ranges: Ranges
     ) -> Ranges | None:
         """The ranges where the number at ``node`` compares so with one of ``limit``."""
-        if not isinstance(node, ast.Name | ast.Attribute) or _in_array(node):
+        if not isinstance(node, ast.Name | ast.Attribute) or self._proof.in_array(node):
             return ranges
         least, largest = self._of(node, ranges) or ANY
         step = 1 if self._type_of(node) is INT else 0
@@ -470,7 +475,7 @@ class _Pass:
             largest = min(largest, limit[1] - step * (op is ast.Lt))
         if op in (ast.Gt, ast.GtE, ast.Eq):
             least = max(least, limit[0] + step * (op is ast.Gt))
-        return {**ranges, ast.unparse(node): (least, largest)} if least <= largest else None
+        return {**ranges, self._proof.path(node): (least, largest)} if least <= largest else None
 
 
 def _in_array(node: ast.expr) -> bool:

@@ -73,7 +73,9 @@ def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch):
 
     monkeypatch.setattr(compiled, "njit", njit)
     assert compiled.firmware(nothing) is nothing
-    options = {"error_model": "numpy", "nogil": False, "_nrt": False}
+    options = {
+        "error_model": "numpy", "nogil": False, "_nrt": False, "no_cfunc_wrapper": True,
+    }  # fmt: skip
     assert calls == [(True, options), (False, options)]
 
 

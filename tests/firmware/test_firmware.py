@@ -94,6 +94,7 @@ def test_nothing_is_known_of_a_fault_at_rest():
     assert firmware.hypotheses.signatures.rows[BIAS_ROW].candidate.age == 1.0
 
 
+@pytest.mark.compiled
 def test_a_plant_driven_by_the_commands_themselves_changes_no_bit():
     table = build(design(steer_by_wire(), DesignSpecification()), Target(0.001, latency_ticks=1))
     ours, driven = Firmware(table), Firmware(table)

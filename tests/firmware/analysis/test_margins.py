@@ -338,6 +338,7 @@ def test_stable_at_the_delay_margin_and_unstable_beyond_in_simulation(rule, left
         assert grows(trace) != stable
 
 
+@pytest.mark.compiled
 def test_the_edge_in_seconds_has_its_poles_on_the_circle():
     tick_s = 1e-3
     for designed, target in ((PUBLISHED, Target(tick_s)), (SLOW, Target(tick_s, 1, "zoh"))):

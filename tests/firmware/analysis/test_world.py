@@ -68,6 +68,7 @@ def speeding(time_s):
     return 3.0 + 60.0 * time_s + 2.0 * math.sin(40.0 * time_s)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("stages", ALL)
 def test_while_speed_and_friction_change_too(stages):
     k = np.arange(TICKS + 1)[:, None]
@@ -103,6 +104,7 @@ def test_the_error_falls_with_the_fourth_power_of_the_tick():
         assert 12.0 < coarse / fine < 20.0
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     ("speed", "variant"),
     [(0.05, "physics"), (1.3, "published"), (2.0, "physics"), (25.0, "published")],

@@ -23,6 +23,7 @@ free_parameters = st.builds(
 )
 
 
+@pytest.mark.compiled
 @given(st.sampled_from(PLANTS), free_parameters)
 def test_healthy_plant_is_silent_for_every_q(plant, q):
     estimator = fault_estimator(plant.coprime(1.0), q)

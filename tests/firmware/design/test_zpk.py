@@ -56,6 +56,7 @@ def test_coefficients_expand_the_factors(g, s):
     assert g.numerator() == pytest.approx(g.gain * np.poly(g.zeros).real, rel=1e-12)
 
 
+@pytest.mark.compiled
 @given(functions, functions, points)
 def test_product_inverse_and_scaling(g, h, s):
     assert (g * h)(s) == pytest.approx(g(s) * h(s), rel=1e-12)

@@ -28,6 +28,7 @@ def pair(radius: float, damping: float) -> list[complex]:
     return [complex(radius * (-damping + root)), complex(radius * (-damping - root))]
 
 
+@pytest.mark.compiled
 @given(
     st.lists(st.floats(0.01, 0.3), min_size=3, max_size=3),
     st.floats(0.3, 0.9),

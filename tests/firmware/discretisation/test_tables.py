@@ -23,6 +23,7 @@ DESIGN = design(steer_by_wire(), DesignSpecification())
 UNSTABLE = design(PENDULUM, DesignSpecification(alpha=2, tau_q_s=0.05, alpha_q=3))
 
 
+@pytest.mark.compiled
 @given(tau_s=st.floats(1e-4, 1.0), tick_s=st.floats(1e-4, 1e-2))
 def test_algebraic_loop_gain_is_that_of_the_text(tau_s, tick_s):
     """F̂ and Tustin's G2 together are q, so the gain is T/(2τ+T); 1/3 at T = τ."""

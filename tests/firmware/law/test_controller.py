@@ -43,6 +43,7 @@ def test_estimate_equals_the_lost_channel_after_the_fault(variant):
     np.testing.assert_allclose(trace.command_2[-1], 1.0 / plant.g2.dc_gain, rtol=1e-5)
 
 
+@pytest.mark.compiled
 def test_a_batch_is_its_members():
     tables = [build(DESIGN, Target(1e-3)), build(DESIGN, Target(1e-3, 2, "zoh"))]
     many = np.zeros(2, tables[0].dtype)

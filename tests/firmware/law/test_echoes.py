@@ -209,6 +209,7 @@ def test_a_force_of_its_own_is_found_by_its_echo_and_is_no_loss_of_the_torque():
     assert Verdict.FORCE_LOST not in verdicts(drive(table_of(), force_swings))
 
 
+@pytest.mark.compiled
 def test_a_swinging_torque_is_compensated_until_it_works_again():
     ticks = FAULT + 700
 
@@ -235,6 +236,7 @@ def drifts_slowly(torque: float, force: float, k: int) -> tuple[float, float]:
     return torque + min(0.03 * k, 20.0), force
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("acts", [offset, swings_fast, drifts_slowly])
 def test_a_faulty_motor_that_moves_has_lost_no_share_of_its_command(acts):
     """The force carries what the echo misses, 20 N m at most, and begins without a jump."""
@@ -247,7 +249,9 @@ def test_a_faulty_motor_that_moves_has_lost_no_share_of_its_command(acts):
     assert np.abs(np.diff(force)).max() < 0.2 * whole
 
 
-@pytest.mark.parametrize(("left", "off"), [(0.8, 20.0), (0.7, 25.0)])
+@pytest.mark.parametrize(
+    ("left", "off"), [(0.8, 20.0), pytest.param(0.7, 25.0, marks=pytest.mark.compiled)]
+)
 def test_a_loss_behind_a_believed_echo_ends_no_belief(left, off):
     """The echo shows the motor's offset, but the car misses a part of the reported torque too."""
 
@@ -263,6 +267,7 @@ def test_a_loss_behind_a_believed_echo_ends_no_belief(left, off):
     assert set(found[believed:]) == {Verdict.TORQUE_LOST}
 
 
+@pytest.mark.compiled
 def test_an_echo_that_contradicts_a_confirmed_loss_takes_over_without_a_jump():
     def comes_back(torque: float, force: float, k: int) -> tuple[float, float]:
         return 0.0 if k < 150 else torque - 25.0, force
@@ -354,6 +359,7 @@ def test_an_echo_that_sticks_in_a_gust_is_not_taken_for_a_stuck_motor():
     assert 0.0 < max(abs(answer.command_2) for answer in answers) < 10e3
 
 
+@pytest.mark.compiled
 def test_the_noise_of_an_echo_explains_no_swing_of_the_sensor():
     """A large d̂ fits any noise by chance: the fit is no evidence of a faulty actuator."""
     draw = np.random.default_rng(0)

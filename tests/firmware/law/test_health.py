@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given, strategies as st
 from scipy import signal
 
@@ -36,6 +37,7 @@ def told(residuals, share, w, errors, begins=()):
     return np.array(says)
 
 
+@pytest.mark.compiled
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 0.5))
 def test_the_faults_end_where_memories_of_a_second_say_so(seed, share, shown, error):
     """Against sums written out, of a d̂ that shows any part of the known loss."""

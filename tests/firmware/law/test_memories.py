@@ -85,6 +85,7 @@ def answers(table: Any, state: Any, ticks: int = 25) -> list[list[float]]:
     return [[float(number) for number in row] for row in rows]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("reference", [0.4, 0.0])
 @pytest.mark.parametrize("on_confirmation", [True, False])
 def test_after_a_reset_nothing_is_left_of_what_was_before(reference, on_confirmation):

@@ -201,6 +201,7 @@ def test_the_constants_follow_from_tires_noise_and_car():
     assert monitor.lag == pytest.approx(1.0 - math.exp(-2.0 * TICK_S / (slowest_s + TICK_S)), 1e-2)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_a_command_at_limit_and_rate_is_within_both_after_rounding(precision):
     steep = replace(TARGET, rate_1=7777.7, lsb_1=1e-3, lsb_2=1e-3, precision=precision)

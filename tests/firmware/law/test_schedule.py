@@ -204,6 +204,7 @@ def test_the_first_ticks_of_a_drive_show_no_fault():
     assert healthy_estimate(OF, 12) < 1e-4
 
 
+@pytest.mark.compiled
 def test_single_precision_stays_single_and_is_as_near_as_it_can_be():
     single = scheduled(target=replace(TARGET, precision="float32"), cars=1)
     ours, exact = Blended(single), Blended(OF)

@@ -80,6 +80,7 @@ def test_what_is_forgotten_leaves_what_a_filter_without_the_loss_knows(share, se
     )
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("share", [0.4, 1.0])
 def test_a_car_that_is_the_model_is_that_again_once_its_loss_is_confirmed(share):
     """With the share that least squares finds; and once more when the channel comes back."""

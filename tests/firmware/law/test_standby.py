@@ -131,6 +131,7 @@ def test_a_known_loss_is_taken_over_after_a_short_standby_without_a_bump(firmwar
     assert abs(answer.command_2) < 0.02 * max(map(abs, forces))
 
 
+@pytest.mark.compiled
 def test_a_suspicion_ends_with_standby():
     """The suspected motion is over: a loss has to show again."""
     noisy = scheduled(target=replace(TARGET, blind_s=0.04, noise_rms=0.02))

@@ -243,7 +243,7 @@ def test_a_sensor_that_pretends_a_loss_deceives_only_until_the_witness_refutes()
     assert pretended.off(healthy()) < 0.4
 
 
-@pytest.mark.parametrize("slides", [0.0, 3.0])
+@pytest.mark.parametrize("slides", [0.0, pytest.param(3.0, marks=pytest.mark.compiled)])
 def test_the_echo_of_a_working_motor_keeps_a_pretended_loss_from_being_confirmed(slides):
     pretended = drive(table_of(echoes=True), as_if_lost, echoes=honest, slides=slides, end=450)
     assert FaultState.CONFIRMED not in pretended.states

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, reject, settings, strategies as st
 
 from can_rig.errors import ExportError
-from can_rig.export.c_files import c_files
+from can_rig.export.c_files import Checked, c_files
 from can_rig.export.compiler import run
 from can_rig.export.law import number_headers
 from can_rig.export.source import REAL, Record, Sources
@@ -122,7 +122,7 @@ def translated(text: str, folder: Path) -> Path:
         program = Program(sources)
         struct = source.structs[module.State]
         program.add(source.functions["f"], [Record(struct), REAL])
-        files = c_files(program, [struct], {"lines_f"}, "float64")
+        files = c_files(Checked(program, {"lines_f"}), [struct], "float64")
     finally:
         del sys.modules["lines"]
     for name, written in (files | number_headers("float64")).items():
@@ -374,7 +374,7 @@ def test_what_is_inside_is_not(translate, line):
     compile_in(translate(f"@firmware\ndef f(state: State, x: float) -> None:\n    {line}\n"))
 
 
-class Checked(list[Any]):
+class CheckedArray(list[Any]):
     """An array as C has it, without an element before the first."""
 
     def __getitem__(self, at: Any) -> Any:
@@ -472,8 +472,8 @@ def test_what_is_translated_never_leaves_its_array(body, runs):
             reject()
     names: dict[str, Any] = {}
     exec("def firmware(f):\n    return f\n" + (HEADER + text).replace(COMPILED, ""), names)
-    rows = Checked(SimpleNamespace(k=0, v=0.0) for _ in range(3))
-    state = SimpleNamespace(a=0.0, n=0, list=Checked([0.0] * 4), rows=rows)
+    rows = CheckedArray(SimpleNamespace(k=0, v=0.0) for _ in range(3))
+    state = SimpleNamespace(a=0.0, n=0, list=CheckedArray([0.0] * 4), rows=rows)
     for of_table, x in runs:
         state.of_table, state.a = of_table, x
         names["f"](state, x)
