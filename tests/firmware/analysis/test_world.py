@@ -68,7 +68,6 @@ def speeding(time_s):
     return 3.0 + 60.0 * time_s + 2.0 * math.sin(40.0 * time_s)
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("stages", ALL)
 def test_while_speed_and_friction_change_too(stages):
     k = np.arange(TICKS + 1)[:, None]
