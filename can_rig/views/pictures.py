@@ -1,6 +1,7 @@
 """The pictures of two compared runs, of a log's signals and of the bus load."""
 
 import datetime
+import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -23,6 +24,8 @@ from firmware_model.law.structs import FloatArray
 
 BEFORE, AFTER = 15, 45  # rows around the first difference
 MAX_SETTINGS: Final = 4  # in the heading; the table lists all settings
+LEFT_IN, RIGHT_IN, BOTTOM_IN, ROW_IN, HEADING_IN, LINE_IN = 1.25, 0.75, 0.5, 1.75, 0.6, 0.17
+"""Fixed margins: automatic margins would draw the page twice."""
 CURVES: Final[tuple[dict[str, Any], ...]] = (
     {"color": style.BLUE, "lw": 1.9},
     {"color": style.ORANGE, "lw": 1.2, "ls": style.DASHED},
@@ -37,20 +40,30 @@ def difference_page(a: SignalTable, b: SignalTable, difference: Difference) -> F
     channel lost is shaded.
     """
     shown = [signal for signal in difference.signals if signal.beyond] or difference.signals
-    figure = style.page(1.2 + 1.75 * max(len(shown), 1))
-    axes = figure.subplots(len(shown), 2, squeeze=False, width_ratios=(3, 2), sharex="col")
+    settings = _settings(difference)
+    heading_in = HEADING_IN + (LINE_IN * (1 + settings.count("\n")) if settings else 0.0)
+    height_in = heading_in + BOTTOM_IN + ROW_IN * max(len(shown), 1)
+    figure = style.page(height_in, constrained=False)
+    axes = figure.subplots(
+        len(shown), 2, squeeze=False, width_ratios=(3, 2), sharex="col",
+        gridspec_kw={
+            "left": LEFT_IN / style.A4_WIDTH_IN, "right": 1.0 - RIGHT_IN / style.A4_WIDTH_IN,
+            "top": 1.0 - heading_in / height_in, "bottom": BOTTOM_IN / height_in,
+            "wspace": 0.06, "hspace": 0.1,
+        },
+    )  # fmt: skip
     around = _around(a, difference)
     for (full, near), signal in zip(axes, shown, strict=True):
         _draw(full, a, b, signal, None)
         _draw(near, a, b, signal, around)
-        full.set_ylabel(style.labelled(*a.name_and_unit(signal.signal)))
+        name, unit = a.name_and_unit(signal.signal)
+        full.set_ylabel(style.labelled(textwrap.fill(name, 22), unit), fontsize=9)
         near.yaxis.tick_right()
     for axis in axes[-1]:
         axis.set_xlabel("time in s")
     figure.legend(
         axes[0, 0].get_lines()[:2], [style.plain(each) for each in titles(a, b)],
-        loc="outside upper center", ncols=2, frameon=False, fontsize=10,
-        title=_settings(difference), title_fontsize=9,
+        loc="upper center", ncols=2, frameon=False, fontsize=10, title=settings, title_fontsize=9,
     )  # fmt: skip
     first = difference.first_at_s
     where = "the end" if first is None else f"the first difference, {first:.6f} s"
