@@ -145,7 +145,7 @@ def _compiled(function: Function, *, allocates: bool, nogil: bool = False) -> Fu
     folder = _folder(Path(inspect.getfile(function)))
     before, settings.CACHE_DIR = settings.CACHE_DIR, folder
     # The last two are numba's options, absent from numba's type hints. No function is passed as an
-    # argument, so none needs a wrapper for C, a tenth of the time that compiling takes.
+    # argument, so none needs a wrapper for C: 7 % of the time that compiling takes.
     options: dict[str, Any] = {
         "error_model": "numpy", "nogil": nogil, "_nrt": allocates, "no_cfunc_wrapper": True,
     }  # fmt: skip
