@@ -41,17 +41,7 @@ def difference_page(a: SignalTable, b: SignalTable, difference: Difference) -> F
     """
     shown = [signal for signal in difference.signals if signal.beyond] or difference.signals
     settings = _settings(difference)
-    heading_in = HEADING_IN + (LINE_IN * (1 + settings.count("\n")) if settings else 0.0)
-    height_in = heading_in + BOTTOM_IN + ROW_IN * max(len(shown), 1)
-    figure = style.page(height_in, constrained=False)
-    axes = figure.subplots(
-        len(shown), 2, squeeze=False, width_ratios=(3, 2), sharex="col",
-        gridspec_kw={
-            "left": LEFT_IN / style.A4_WIDTH_IN, "right": 1.0 - RIGHT_IN / style.A4_WIDTH_IN,
-            "top": 1.0 - heading_in / height_in, "bottom": BOTTOM_IN / height_in,
-            "wspace": 0.06, "hspace": 0.1,
-        },
-    )  # fmt: skip
+    figure, axes = _rows(len(shown), 0 if settings is None else 1 + settings.count("\n"))
     around = _around(a, difference)
     for (full, near), signal in zip(axes, shown, strict=True):
         _draw(full, a, b, signal, None)
@@ -71,6 +61,21 @@ def difference_page(a: SignalTable, b: SignalTable, difference: Difference) -> F
     axes[0, 1].set_title(f"around {where}", fontsize=9, loc="left")
     figure.align_ylabels(axes[:, 0])
     return figure
+
+
+def _rows(panels: int, settings: int) -> tuple[Figure, Any]:
+    """A page of so many rows of two panels, below so many settings."""
+    heading_in = HEADING_IN + LINE_IN * settings
+    height_in = heading_in + BOTTOM_IN + ROW_IN * max(panels, 1)
+    figure = style.page(height_in, constrained=False)
+    return figure, figure.subplots(
+        panels, 2, squeeze=False, width_ratios=(3, 2), sharex="col",
+        gridspec_kw={
+            "left": LEFT_IN / style.A4_WIDTH_IN, "right": 1.0 - RIGHT_IN / style.A4_WIDTH_IN,
+            "top": 1.0 - heading_in / height_in, "bottom": BOTTOM_IN / height_in,
+            "wspace": 0.06, "hspace": 0.1,
+        },
+    )  # fmt: skip
 
 
 def overlay(runs: Mapping[str, SignalTable], signals: Sequence[str]) -> Figure:
