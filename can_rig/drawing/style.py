@@ -53,6 +53,16 @@ def page(height_in: float, width_in: float = A4_WIDTH_IN, constrained: bool = Tr
     return figure
 
 
+def margins(
+    height_in: float, left_in: float, right_in: float, top_in: float, bottom_in: float
+) -> dict[str, float]:
+    """The margins of a grid on an A4 page of this height, in shares of the page."""
+    return {
+        "left": left_in / A4_WIDTH_IN, "right": 1.0 - right_in / A4_WIDTH_IN,
+        "top": 1.0 - top_in / height_in, "bottom": bottom_in / height_in,
+    }  # fmt: skip
+
+
 def ruled(axis: Axes) -> None:
     """A faint grid, and curves from edge to edge."""
     axis.grid(alpha=0.3, lw=0.5)

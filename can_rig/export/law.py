@@ -122,6 +122,7 @@ def _records(sources: Sources, *memory: object) -> list[Record]:
     return [Record(struct) for struct in found if struct is not None]
 
 
+@cache
 def law_program() -> Program:
     """The typed program of the control law.
 
@@ -141,6 +142,7 @@ def law_program() -> Program:
     return program
 
 
+@cache
 def speed_program() -> Program:
     """The typed program that blends tables by the speed of the car.
 

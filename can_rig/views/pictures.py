@@ -71,8 +71,7 @@ def _rows(panels: int, settings: int) -> tuple[Figure, Any]:
     return figure, figure.subplots(
         panels, 2, squeeze=False, width_ratios=(3, 2), sharex="col",
         gridspec_kw={
-            "left": LEFT_IN / style.A4_WIDTH_IN, "right": 1.0 - RIGHT_IN / style.A4_WIDTH_IN,
-            "top": 1.0 - heading_in / height_in, "bottom": BOTTOM_IN / height_in,
+            **style.margins(height_in, LEFT_IN, RIGHT_IN, heading_in, BOTTOM_IN),
             "wspace": 0.06, "hspace": 0.1,
         },
     )  # fmt: skip

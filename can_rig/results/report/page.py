@@ -172,25 +172,21 @@ def _empty_page(title_in: float, timed: bool, zoomed: bool) -> Figure:
     """Five panels over one time axis below the title; a panel for the timing; five beside."""
     height_in, timing_in = (HEIGHT_WITH_TIMING_IN, TIMING_IN) if timed else (HEIGHT_IN, 0.0)
     figure = style.page(height_in, constrained=False)
-    margins = {"left": LEFT_IN / style.A4_WIDTH_IN, "right": 1.0 - RIGHT_IN / style.A4_WIDTH_IN}
-    if zoomed:
-        margins["right"] -= ZOOM_LABEL_IN / style.A4_WIDTH_IN
+    left_right = LEFT_IN, RIGHT_IN + zoomed * ZOOM_LABEL_IN
     grid = figure.add_gridspec(
         5,
         2 if zoomed else 1,
-        **margins,
+        **style.margins(height_in, *left_right, title_in + LABEL_IN, BOTTOM_IN + timing_in),
         height_ratios=(1.25, 1, 1, 1, 1),
         width_ratios=(2, 1) if zoomed else (1,),
-        top=1.0 - (title_in + LABEL_IN) / height_in,
-        bottom=(BOTTOM_IN + timing_in) / height_in,
         hspace=0.2,
         wspace=0.06,
     )
     _shared(figure, grid, 0)
     if timed:
-        top = (timing_in - LABEL_IN / 2.0) / height_in
-        timing = figure.add_gridspec(1, 1, **margins, top=top, bottom=BOTTOM_IN / height_in)
-        figure.add_subplot(timing[0])
+        top_in = height_in - timing_in + LABEL_IN / 2.0
+        around = style.margins(height_in, *left_right, top_in, BOTTOM_IN)
+        figure.add_subplot(figure.add_gridspec(1, 1, **around)[0])
     if zoomed:
         _shared(figure, grid, 1)
     return figure

@@ -1,6 +1,7 @@
 """The panel as a person has it: in a browser, with a mouse."""
 
 import csv
+import json
 import re
 import subprocess
 import sys
@@ -93,6 +94,8 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     )
     world = set(shown[0]) - set(again[0])  # only a run that can be touched may yet be pushed
     assert {row[name] for row in shown for name in world - STILL} <= {"0", "0.0", "1", "1.0"}
+    metrics = json.loads(Path("again/run.json").read_text("utf-8"))["metrics"]
+    assert 0.0 < metrics["detection_delay_s"] < 0.2
     kept = [{name: row[name] for name in again[0]} for row in shown]
     assert again[: len(shown)] == kept  # it was stopped; the saved one runs on
     assert sum((chunk.arbitration_id == 0x710).sum() for chunk in read_log(folder / "bus.log")) == 1
