@@ -75,6 +75,15 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+@pytest.hookimpl(tryfirst=True)  # before the fixtures of a module
+def pytest_runtest_setup(item):
+    """Reports take longer than a short run, and few tests look at one."""
+    if item.get_closest_marker("reports"):
+        os.environ.pop("CAN_RIG_NO_REPORT", None)
+    else:
+        os.environ["CAN_RIG_NO_REPORT"] = "1"
+
+
 @pytest.fixture(autouse=True)
 def no_run_folder_in_the_checkout(monkeypatch, tmp_path):
     """Whatever a test forgets to name lands in its own folder."""

@@ -85,6 +85,13 @@ def closing_table(scenario: Scenario, values: Metrics, outcome: Outcome, folder:
     help="Run both nodes in this process: the same log, and without --bus much faster.",
 )
 @click.option("--allow-unstable", is_flag=True, help="Run a loop that `can-rig check` refuses.")
+@click.option(
+    "--no-report",
+    is_flag=True,
+    envvar="CAN_RIG_NO_REPORT",
+    show_envvar=True,
+    help="Draw no report.png and no report.html, which takes longer than a short run.",
+)
 @silence_option("1.0")
 @controller_option
 @json_option("The metrics and the outcome as one JSON object.")
@@ -99,6 +106,7 @@ def command(
     logs: tuple[Path, ...],
     in_process: bool,
     allow_unstable: bool,
+    no_report: bool,
     silence_s: float | None,
     controller: str,
     as_json: bool,
@@ -136,6 +144,7 @@ def command(
         controller=running,
         timeouts=_timeouts(silence_s, interaction, chosen.tick_s),
         interaction=interaction,
+        report=not no_report,
     )
     done = None if stop.wanted else execution.execute(chosen, out, stop.on_signals(), options)
     if done is None:

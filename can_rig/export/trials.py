@@ -17,6 +17,7 @@ from typing import Any, Final
 
 import can
 import numpy as np
+import numpy.typing as npt
 
 from can_rig.errors import ExportError
 from can_rig.export.boards import COUNT, LONGEST_S, RESTART, SURVIVE, frame_order, order, time_order
@@ -205,15 +206,23 @@ def fill(
     random: np.random.Generator, records: Records[Any], precision: Precision, even: bool
 ) -> None:
     """Randomise every real number of ``records``, shape (1,); some fields get special values."""
-    fields = [*_real_fields(records.dtype)]
-    size = np.dtype(precision).itemsize
-    spots = np.concatenate([offset // size + np.arange(count) for offset, count in fields])
-    shares = np.repeat(random.choice(SHARES, len(fields)), [count for _, count in fields])
+    spots, counts = _reals_of(records.dtype, precision)
+    shares = np.repeat(random.choice(SHARES, len(counts)), counts)
     shares *= random.random() < 0.3
     records.view(precision)[spots] = reals(random, spots.shape, precision, even, shares)
 
 
 @cache
+def _reals_of(
+    dtype: np.dtype[Any], precision: Precision
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Place of each real number among those of this precision; how many each field has."""
+    begins, counts = np.array(_real_fields(dtype)).T
+    firsts = begins // np.dtype(precision).itemsize
+    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.repeat(firsts, counts) + within, counts
+
+
 def _real_fields(dtype: np.dtype[Any], begin: int = 0) -> tuple[tuple[int, int], ...]:
     """Offset and length of each field of real numbers."""
     if dtype.base.names is None:

@@ -37,11 +37,16 @@ class Reasoning:
 
     def __init__(self, scenario: Scenario, network: Network) -> None:
         self._made = partial(OurLaw, scenario, network, PYTHON_LAW)
-        self._law = self._made()
+        self._begin()
         self._outages = scenario.outages
         self._speeds = _speeds(scenario, network)
         self.confirm: Final = float(controls(scenario, network).table.decision.confirm)
         """The evidence that confirms a loss."""
+
+    def _begin(self) -> None:
+        self._law = self._made()
+        self._hypotheses = self._law.firmware.hypotheses
+        self._evidence: FloatArray = self._hypotheses["evidence"][1:]
 
     def take(self, tick: int, inputs: Inputs) -> tuple[int, FloatArray]:
         """The verdict of this tick, and the evidence of each hypothesis in the order ``EVIDENCE``.
@@ -52,14 +57,14 @@ class Reasoning:
             return 0, np.zeros(len(EVIDENCE))
         for outage in self._outages:
             if tick == outage.stop:
-                saved, self._law = self._law.saved(), self._made()
+                saved = self._law.saved()
+                self._begin()
                 if outage.state_survives:
                     self._law.restore(saved)
         if self._speeds is not None:
             inputs = inputs._replace(speed_mps=self._speeds[min(tick, len(self._speeds) - 1)])
         self._law.step(inputs)
-        hypotheses = self._law.firmware.hypotheses
-        return int(hypotheses["verdict"]), hypotheses["evidence"][1:]
+        return int(self._hypotheses["verdict"]), self._evidence
 
     @property
     def commands(self) -> tuple[float, float]:

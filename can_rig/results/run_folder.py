@@ -3,6 +3,7 @@
 import json
 import platform
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
@@ -72,6 +73,11 @@ def _recorded(folder: Path) -> bool:
     return (log.is_file() and log.stat().st_size > 0) or (folder / SUMMARY).exists()
 
 
+@cache
+def _versions() -> dict[str, str]:
+    return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
+
+
 RUN_FOLDER: Final = Kind("a run folder", LOG, lambda _: OWN, _recorded)
 
 
@@ -117,7 +123,7 @@ def finish(
         **asdict(outcome),
         "ticks_per_s": outcome.ticks_per_s,
         "real_time_factor": outcome.ticks_per_s * scenario.tick_s,
-        "versions": {"python": platform.python_version()} | {p: version(p) for p in PACKAGES},
+        "versions": _versions(),
     }
     if outcome.realtime is None:
         del summary["realtime"]

@@ -36,6 +36,6 @@ def guest(tmp_path):
     assert list(temporary.iterdir()) == []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
-            assert f"VCAN_GUEST={temporary}" not in path.read_text()
+            assert f"VCAN_GUEST={temporary}".encode() not in path.read_bytes()  # others say any bytes
         except OSError:
             continue  # it has just ended

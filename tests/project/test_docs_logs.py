@@ -16,6 +16,8 @@ from can_rig.cli.main import main
 from tests.helpers import decoded
 from tests.project.pages import ROOT, TUTORIALS, blocks, command_lines, text_of
 
+pytestmark = pytest.mark.reports
+
 SHORT = ["--in-process", "--set", "duration_s=0.3", "--set", "fault.at_s=0.2"]
 ANSWERS_NO = re.compile("can-rig diff .*|can-rig check thesis-step --set latency_ticks=1")
 PROGRAMS = {"python": [sys.executable], "pytest": [sys.executable, "-m", "pytest"]}

@@ -93,6 +93,7 @@ def test_it_runs_in_odd_surroundings(change, tmp_path):
     assert f"run folder  {tmp_path / 'run'}" in done.stdout  # never cut short
 
 
+@pytest.mark.reports
 def test_a_reader_that_goes_away_costs_nothing_but_the_table(tmp_path):
     read, write = os.pipe()
     os.close(read)

@@ -24,6 +24,8 @@ from tests.rig.nodes.running import (
     whole_ticks,
 )
 
+pytestmark = pytest.mark.reports
+
 
 @pytest.fixture
 def thesis_step(tmp_path):

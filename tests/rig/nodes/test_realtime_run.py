@@ -13,6 +13,8 @@ from tests.helpers import asked, refused, start
 from tests.processes import wait_for
 from tests.rig.nodes.running import LONG, alive, lines_of, running, summary_of
 
+pytestmark = pytest.mark.reports
+
 
 def signals_of(log) -> Signals:
     return read_signals(log, network_of(load("ideal")), 0.001)

@@ -8,6 +8,8 @@ from can_rig.nodes.ticks import without_garbage_pauses
 from tests.helpers import asked, record, sets, start
 from tests.rig.nodes.running import folder_is_complete, whole_ticks
 
+pytestmark = pytest.mark.reports
+
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):

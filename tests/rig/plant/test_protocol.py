@@ -227,6 +227,7 @@ def test_ctrl_c_in_a_plant_stays_one():
         load_plant("mycar:Car", SETTINGS)
 
 
+@pytest.mark.reports
 def test_from_the_command_line_a_file_beside_the_scenario_is_a_plant(tmp_path):
     write(LAG)
     write("[plant]\nkind = 'mycar:Lag'\n[fault]\nkind = 'actuator-dead'\nat_s = 0.1", "drive.toml")

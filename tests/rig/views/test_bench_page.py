@@ -14,6 +14,8 @@ from can_rig.storage import paged
 from tests.browser import barriers
 from tests.helpers import asked, succeeded
 
+pytestmark = pytest.mark.reports
+
 TIME_S = st.integers(0, 9000).map(lambda ms: ms / 1000)
 CURVE = st.lists(st.tuples(TIME_S, st.floats(-1e6, 1e6)), min_size=1, max_size=60)
 

@@ -16,6 +16,8 @@ from PIL import Image
 from tests.helpers import asked
 from tests.rig.panel.test_in_a_browser import panel
 
+pytestmark = pytest.mark.reports
+
 KEPT = Path(__file__).parent / "screenshots"
 SIZES = {"phone": (390, 844), "laptop": (1280, 800), "monitor": (1920, 1080)}
 CELL = 20  # pixels of a coarse point
