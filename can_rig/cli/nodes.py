@@ -25,6 +25,7 @@ from can_rig.cli.options import (
 )
 from can_rig.cli.output import counting, json_line, tell
 from can_rig.errors import INTERRUPTED, LogError, RigError
+from can_rig.logs.reading import WRITTEN
 from can_rig.nodes.bus_access import OnTick, StopRequest, Throttled, Timeouts
 from can_rig.nodes.realtime import timing
 from can_rig.nodes.recording import recorded_log
@@ -81,10 +82,6 @@ def _end_of_node(scenario: Scenario, summary: NodeSummary, as_json: bool) -> int
     return 0 if summary.ticks == scenario.ticks else INTERRUPTED
 
 
-_OTHER_FORMATS = {".asc", ".blf", ".trc", ".mf4", ".gz"}
-"""Of logs; a node writes candump lines as it goes."""
-
-
 @click.command("plant")
 @scenario_options
 @_node_options
@@ -110,7 +107,7 @@ def plant(
 
     In real time the plant node survives the controller node: actuators hold, then drop to zero.
     """
-    if log is not None and log.suffix.lower() in _OTHER_FORMATS:
+    if log is not None and log.suffix.lower() in {*WRITTEN, ".gz"} - {".log"}:
         raise LogError(
             f"{log}: must be FILE.log, a node records candump lines as it goes; "
             "can-rig run --log writes other formats"

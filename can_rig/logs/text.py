@@ -77,7 +77,8 @@ class TextReader:
                 number.
         """
         reader = cls(log)
-        for number, frames in enumerate(reader._chunks()):
+        for number, found in enumerate(reader._chunks()):
+            frames = replace(found, time_ns=reader.counted(found.time_ns))
             if number == 0 and not reader.has_date:
                 log.start_ns = int(frames.time_ns[0])
             last_ns = int(frames.time_ns.max())
@@ -110,6 +111,10 @@ class TextReader:
         raise LogError(
             f"{self.place()}: a second log begins here: {shown(line)}; must be a file of its own"
         )
+
+    def counted(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The time stamps of the next lines, where the clock of a format begins anew."""
+        return time_ns
 
     def ended(self, line: bytes, frame: Frames) -> bool:
         """Whether a last line without its newline is complete.

@@ -6,7 +6,8 @@
     14:19:11:4200 Rx 2 0x100 sr 8                          sr, xr: remote
     14:08:20:4009 Tx 1 0021 s 2 000 255                    after ***DEC***
 
-Dates are in the time zone of this machine. More than 8 bytes mean CAN FD, which has no mark.
+Dates are in the time zone of this machine. More than 8 bytes mean CAN FD, which has no mark. A time
+of day that falls by more than half a day is of the next day.
 
 Source: BUSMASTER, `FormatMsgCAN.cpp`, `FormatMsgCommon.cpp`, `LogObjectCAN.cpp`.
 """
@@ -37,6 +38,9 @@ from firmware_model.compiled import compiled
 
 _NS_DIGITS = 9
 _MOST_HOURS = 1 << 20
+_DAY_NS: Final = 24 * 3600 * NS_PER_S
+_LATE_NS: Final = 60 * NS_PER_S
+"""So long after midnight a frame of the day before may come, from another bus."""
 _STAR, _COLON, _ZERO = ord("*"), ord(":"), ord("0")
 _R, _S, _T, _X = ord("r"), ord("s"), ord("t"), ord("x")
 _START: Final = re.compile(
@@ -53,7 +57,7 @@ def _line(text: UInt8s, at: int, bases: NDArray[np.int64], row: UInt8s) -> scan.
     at = scan.blanks(text, at)
     if text[at] == _STAR:
         return scan.HEADING, 0, 0, 0, 0, 0, at
-    if scan.DIGIT[text[at]] >= scan.DECIMAL:
+    if text[at] == scan.NEWLINE:
         return scan.NO_FRAME, 0, 0, 0, 0, 0, at
     time_ns, at = _time(text, at)
     at = scan.next_word(text, at)
@@ -83,6 +87,8 @@ def _line(text: UInt8s, at: int, bases: NDArray[np.int64], row: UInt8s) -> scan.
         size = min(size, CLASSIC_BYTES)
     elif at >= 0:
         at = scan.payload(text, at, int(bases[0]), size, row)
+        if at >= 0 and scan.next_word(text, at) >= 0:  # more bytes than announced
+            return scan.BAD
     if at < 0:
         return scan.BAD
     return scan.FRAME, time_ns, identifier, bits | FD * (size > CLASSIC_BYTES), bus, size, at
@@ -115,6 +121,8 @@ class _Reader(TextReader):
         self.settings = np.array([scan.HEXADECIMAL])
         self._start: datetime | None = None
         self._is_time_of_day = True
+        self._midnights = 0  # since the start
+        self._last_ns: int | None = None  # time of day of the last frame, or of the start
 
     def heading(self, line: bytes) -> None:
         """Protocol, date, what time stamps count from, and the base of numbers.
@@ -145,10 +153,23 @@ class _Reader(TextReader):
             except (ValueError, OverflowError, OSError):
                 raise LogError(f"{self.place()}: not a date: {shown(line)}") from None
             self.log.start_ns = self.log.start_ns or start_ns
+            self._midnights = 0
+            self._last_ns = ((60 * hour + minute) * 60 + second) * NS_PER_S
         self.zero_ns = 0
         if self._start is not None:
             midnight = self._start.replace(hour=0, minute=0, second=0, microsecond=0)
             self.zero_ns = _since_1970_ns(midnight if self._is_time_of_day else self._start)
+
+    def counted(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Times of day go on after midnight."""
+        if not self._is_time_of_day:
+            return time_ns
+        before = time_ns[0] if self._last_ns is None else self._last_ns
+        steps = np.diff(time_ns, prepend=before)
+        turns = (steps < -_DAY_NS // 2).astype(np.int64) - (steps > _DAY_NS - _LATE_NS)
+        days = np.clip(self._midnights + np.cumsum(turns), 0, LAST_NS // _DAY_NS - 1)
+        self._midnights, self._last_ns = int(days[-1]), int(time_ns[-1])
+        return time_ns + days * _DAY_NS
 
     def ignorable(self, line: bytes) -> bool:
         """A heading, which the session ends with."""

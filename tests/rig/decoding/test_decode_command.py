@@ -233,11 +233,12 @@ def test_bad_input_is_one_line(drive, arguments, reason):
     )
 
 
-def test_a_node_records_candump_lines_only(tmp_path):
-    assert "a.blf: must be FILE.log, a node records candump lines" in refused(
-        "plant", "thesis-step", "--log", tmp_path / "a.blf", "--wait", "0.01"
+@pytest.mark.parametrize("name", ["a.blf", "a.csv", "a.log.gz"])
+def test_a_node_records_candump_lines_only(name, tmp_path):
+    assert f"{name}: must be FILE.log, a node records candump lines" in refused(
+        "plant", "thesis-step", "--log", tmp_path / name, "--wait", "0.01"
     )
-    assert not (tmp_path / "a.blf").exists()
+    assert not (tmp_path / name).exists()
 
 
 def test_a_node_replaces_no_log_unasked(tmp_path):

@@ -129,6 +129,8 @@ def test_written_for_savvycan(tmp_path):
         (" s 8", " sq 8", "line 12: not a valid frame"),
         (" s 8", " s 65", "line 12: not a valid frame"),
         (" FF ", " FFF ", "line 12: not a valid frame"),
+        (" s 8", " s 7", "line 12: not a valid frame"),  # and 8 bytes
+        ("14:19:11:4184", "x4:19:11:4184", "line 12: not a valid frame"),
     ],
 )
 def test_what_is_in_no_such_log_is_named(tmp_path, old, new, said):
@@ -164,6 +166,23 @@ def test_sessions_in_a_row_have_dates_bases_and_modes_of_their_own(tmp_path):
         start_ns = second + (14 * 3600 + 19 * 60 + 10) * 10**9 + 538_000_000
         assert last == (start_ns, 255, 0, "1", 3, b"\0\xff\x10")
         assert log.start_ns == first + (14 * 3600 + 19 * 60 + 9) * 10**9 + 538_000_000
+
+
+def test_times_of_day_go_on_after_midnight_in_whatever_chunks_they_come(tmp_path):
+    times = "23:59:59:9000", "00:00:00:1000", "23:59:59:9500", "09:00:00:0000", "23:00:00:0000"
+    lines = "".join(f"{time} Rx 1 0x100 s 0\n" for time in (*times, "00:30:00:0000"))
+    midnight = round(datetime(2013, 11, 20).timestamp()) * 10**9
+    expected = [86_399.9, 86_400.1, 86_399.95, 33 * 3600, 47 * 3600, 48.5 * 3600]
+    for chunk in (1, 4, 1000):
+        found = concatenate(read_log(written(tmp_path, busmaster(frames=lines)), chunk))
+        assert found.time_ns.tolist() == [midnight + round(each * 1e9) for each in expected]
+    undated = busmaster(frames=lines).replace("START DATE", "BEGIN")
+    found = concatenate(read_log(written(tmp_path, undated)))
+    assert found.time_ns.tolist() == [round(each * 1e9) for each in expected]
+    since_the_start = concatenate(
+        read_log(written(tmp_path, busmaster(mode="ABSOLUTE", frames=lines)))
+    ).time_ns
+    assert since_the_start[1] < since_the_start[0]  # counts no days
 
 
 def test_long_frames_of_a_busmaster_log_are_can_fd(tmp_path):
