@@ -155,9 +155,9 @@ class FaultSettings(Spell):
         needed = None if self.kind in WHERE_IT_IS else NUMBER.get(self.kind)
         if needed is not None and getattr(self, needed) is None:
             raise ValueError(f"{needed}: must be set for {self.kind!r}")
-        if self.channel == SENSOR and self.kind.startswith("actuator-"):
+        if self.kind.startswith("actuator-") and self.channel not in CHANNELS:
             raise ValueError(
-                f"channel = {SENSOR!r}: must be torque or force-difference for {self.kind!r}"
+                f"channel = {self.channel!r}: must be {' or '.join(CHANNELS)} for {self.kind!r}"
             )
         allowed = ECHOES if self.kind in OF_ECHOES else MEASURED
         if self.kind in OF_FURTHER_SENSORS and self.channel not in allowed:
@@ -169,7 +169,7 @@ class FaultSettings(Spell):
             must = "another sensor than the channel" if self.kind == SWAPPED else "left out"
             raise ValueError(f"{given}: must be {must} for {self.kind!r}")
         if self.channel in MEASURED:
-            if self.kind.startswith(("actuator-", "controller-")):
+            if self.kind == RESTARTED:
                 raise ValueError(
                     f"channel = {self.channel!r}: must be one of {', '.join(PLACES)} for "
                     f"{self.kind!r}"

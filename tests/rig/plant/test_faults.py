@@ -108,8 +108,7 @@ def test_what_an_actuator_makes_of_its_commands(settings, expected):
     found = applied(*(f"fault.{each}" for each in settings), commands=RAMP)
     assert found[:5] == RAMP[:5]
     assert found[5:15] == pytest.approx(expected, abs=1e-12)
-    after = 15 if "rate" not in settings[0] else 16  # where it is at once
-    assert found[after:] == RAMP[after:]
+    assert found[15:] == RAMP[15:]
 
 
 def test_a_fault_of_every_third_tick_lets_the_others_pass():
