@@ -2,7 +2,8 @@
 
 ``./tools/test --times`` runs all tests with this plugin of pytest, and then this file as a program.
 The program writes ``tests/long.txt``: the longest tests, until the rest takes `SHARE` of the time
-of all tests. The shortest test of a file stays in the quick tier.
+of all tests. The shortest test of a file stays in the quick tier, and with it the time of what the
+tests of the file share.
 """
 
 import os
@@ -20,21 +21,47 @@ SHARE = 0.2
 
 
 @pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(
+    fixturedef: pytest.FixtureDef[object], request: pytest.FixtureRequest
+) -> Iterator[None]:
+    """Note when a shared fixture is made."""
+    begun_s = time.perf_counter()
+    try:
+        return (yield)
+    finally:
+        if fixturedef.scope != "function":
+            shared_s.append((begun_s, time.perf_counter()))
+
+
+shared_s: list[tuple[float, float]] = []
+"""Begin and end of each shared fixture since the test began."""
+
+
+@pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    """Write a line for each test."""
+    """Write a line for each test: its own time, and that of the shared fixtures made for it."""
+    shared_s.clear()
     begun_s = time.perf_counter()
     result = yield
+    taken_s = time.perf_counter() - begun_s
+    made_s, until_s = 0.0, 0.0
+    for begin_s, end_s in sorted(shared_s):
+        made_s += max(0.0, end_s - max(begin_s, until_s))
+        until_s = max(until_s, end_s)
     kind = "vcan" if item.get_closest_marker("vcan") else "tests"
     with Path(os.environ[FILE]).open("a", encoding="utf-8") as file:
-        file.write(f"{kind} {time.perf_counter() - begun_s:.3f} {item.nodeid}\n")
+        file.write(f"{kind} {taken_s - made_s:.3f} {made_s:.3f} {item.nodeid}\n")
     return result
 
 
-def long_tests(taken_s: dict[str, float]) -> list[str]:
-    """The longest tests, so many that the others take at most ``SHARE`` of the time."""
+def long_tests(taken_s: dict[str, float], shared_s: float) -> list[str]:
+    """The longest tests, so many that the others take at most ``SHARE`` of the time.
+
+    ``shared_s`` is the time of all shared fixtures, and stays.
+    """
     quick_first = sorted(taken_s, key=lambda test: (taken_s[test], test))
     kept = {test.partition("::")[0]: test for test in reversed(quick_first)}.values()
-    left_s, chosen = sum(taken_s.values()), []
+    left_s, chosen = sum(taken_s.values()) + shared_s, []
     most_s = SHARE * left_s
     for test in reversed(quick_first):
         if left_s <= most_s:
@@ -48,10 +75,12 @@ def long_tests(taken_s: dict[str, float]) -> list[str]:
 def main() -> None:
     """Write the list from the file of times that the plugin has written."""
     taken_s: dict[str, dict[str, float]] = {"tests": {}, "vcan": {}}
+    made_s = dict.fromkeys(taken_s, 0.0)
     for line in Path(sys.argv[1]).read_text("utf-8").splitlines():
-        kind, seconds, test = line.split(maxsplit=2)
-        taken_s[kind][test] = float(seconds)
-    chosen = [test for each in taken_s.values() for test in long_tests(each)]
+        kind, own, shared, test = line.split(maxsplit=3)
+        taken_s[kind][test] = float(own)
+        made_s[kind] += float(shared)
+    chosen = [test for kind in taken_s for test in long_tests(taken_s[kind], made_s[kind])]
     LONG.write_text("".join(f"{test}\n" for test in sorted(chosen)), "utf-8")
 
 

@@ -314,7 +314,7 @@ BAD = [
      "fault.other = 'force-difference-echo': must be a sensor of the scenario"),
     ({"kind": "sensor-dead", "other": "yaw-rate"}, "fault.other = 'yaw-rate': must be left out"),
     ({"kind": "sensor-dead", "channel": "force-difference-echo"}, "fault.channel = 'force-diff"),
-    ({"kind": "actuator-dead", "channel": "yaw-rate"}, "fault.channel = 'yaw-rate': must be one"),
+    ({"kind": "actuator-dead", "channel": "yaw-rate"}, "'yaw-rate': must be torque or force-diff"),
     ({"kind": "frames-late", "channel": "force-difference-echo"}, "must be a sensor of the scen"),
     ({"kind": "sensor-biased", "channel": "yaw-rate"}, "fault.offset: must be set"),
     ({}, "sensor.measures: must be set"),
