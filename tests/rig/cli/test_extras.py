@@ -1,6 +1,7 @@
 """Without the packages of an extra, a line names the extra before any work."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -42,7 +43,10 @@ SHORT = ["thesis-step", "--in-process", "--set", "duration_s=0.01"]
 
 def rig_without(packages: list[str], *commands: list[str]) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", WITHOUT, json.dumps(packages), json.dumps(commands)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    here = os.environ | {"PYTHONPATH": str(ROOT)}  # also in a copy of the checkout
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=300, check=False, env=here
+    )
 
 
 @pytest.mark.parametrize(
