@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers import asked, refused, rig, start
+from tests.helpers import asked, refused, rig, start, succeeded
 
 RUN = ["run", "thesis-step", "--in-process", "--set", "duration_s=0.05"]
 
@@ -105,6 +105,17 @@ def test_a_reader_that_goes_away_costs_nothing_but_the_table(tmp_path):
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
         "bus.log", "bus.plant.csv", "report.html", "report.png", "run.json", "signals.csv",
     ]  # fmt: skip
+
+
+@pytest.mark.reports
+@pytest.mark.parametrize("said", ["by option", "by environment", None])
+def test_reports_are_drawn_unless_they_are_not_wanted(said, tmp_path, monkeypatch):
+    if said == "by environment":
+        monkeypatch.setenv("CAN_RIG_NO_REPORT", "1")
+    asked_for = ["--no-report"] if said == "by option" else []
+    succeeded(*RUN, *asked_for, "--out", tmp_path / "run")
+    drawn = {"report.html", "report.png"} & {path.name for path in (tmp_path / "run").iterdir()}
+    assert drawn == (set() if said else {"report.html", "report.png"})
 
 
 def test_a_path_too_long_for_a_socket_is_one_line(tmp_path):

@@ -173,7 +173,7 @@ def test_times_of_day_go_on_after_midnight_in_whatever_chunks_they_come(tmp_path
     lines = "".join(f"{time} Rx 1 0x100 s 0\n" for time in (*times, "00:30:00:0000"))
     midnight = round(datetime(2013, 11, 20).timestamp()) * 10**9
     expected = [86_399.9, 86_400.1, 86_399.95, 33 * 3600, 47 * 3600, 48.5 * 3600]
-    for chunk in (1, 4, 1000):
+    for chunk in (1, 2, 4, 1000):
         found = concatenate(read_log(written(tmp_path, busmaster(frames=lines)), chunk))
         assert found.time_ns.tolist() == [midnight + round(each * 1e9) for each in expected]
     undated = busmaster(frames=lines).replace("START DATE", "BEGIN")
@@ -183,6 +183,14 @@ def test_times_of_day_go_on_after_midnight_in_whatever_chunks_they_come(tmp_path
         read_log(written(tmp_path, busmaster(mode="ABSOLUTE", frames=lines)))
     ).time_ns
     assert since_the_start[1] < since_the_start[0]  # counts no days
+
+
+def test_each_session_counts_midnights_from_its_own_start(tmp_path):
+    first = busmaster(frames="00:00:01:0000 Rx 1 0x100 s 0\n").replace(" 14:19:9", " 23:59:9")
+    second = busmaster(frames="15:00:00:0000 Rx 1 0x100 s 0\n", day=21)
+    found = concatenate(read_log(written(tmp_path, first + "\n" + second)))
+    next_day = round(datetime(2013, 11, 21).timestamp()) * 10**9
+    assert found.time_ns.tolist() == [next_day + 10**9, next_day + 15 * 3600 * 10**9]
 
 
 def test_long_frames_of_a_busmaster_log_are_can_fd(tmp_path):
