@@ -78,17 +78,17 @@ class TextReader:
         """
         reader = cls(log)
         for number, found in enumerate(reader._chunks()):
-            frames = replace(found, time_ns=reader.counted(found.time_ns))
+            time_ns = reader.counted(found.time_ns)
             if number == 0 and not reader.has_date:
-                log.start_ns = int(frames.time_ns[0])
-            last_ns = int(frames.time_ns.max())
+                log.start_ns = int(time_ns[0])
+            last_ns = int(time_ns.max())
             if last_ns > LAST_NS - reader.zero_ns:
                 raise LogError(
                     f"{log.path}: a time stamp of {last_ns / 1e9:.3g} s after the start; "
                     "it must be before the year 2262"
                 )
-            on_clock = replace(frames, time_ns=frames.time_ns + reader.zero_ns)
-            yield on_clock if frames.channels else numbered(on_clock, reader.first_bus)
+            on_clock = replace(found, time_ns=time_ns + reader.zero_ns)
+            yield on_clock if found.channels else numbered(on_clock, reader.first_bus)
         reader.finish()
 
     def begin(self) -> None:

@@ -16,8 +16,6 @@ from tests.browser import barriers
 from tests.helpers import succeeded
 from tests.project.pages import PAGES, ROOT
 
-pytestmark = pytest.mark.reports
-
 
 class Text(HTMLParser):
     """The text of a page, its headings, and the formulas in it."""

@@ -131,7 +131,9 @@ def test_a_log_comes_from_standard_input(tmp_path):
     assert (tmp_path / "a.csv").read_text() == '"time_s","message","A.V"\n1,"A",7\n'
 
 
-@pytest.mark.parametrize("words", [("decode", LOG), ("run", *SHORT), ("figures",)], ids=str)
+@pytest.mark.parametrize(
+    "words", [("decode", LOG), ("run", *SHORT), ("figures",)], ids=lambda words: words[0]
+)
 def test_no_folder_is_named_as_standard_output(words, tmp_path):
     done = rig(*words, "--out", "-", cwd=tmp_path)
     assert (done.returncode, done.stdout, [*tmp_path.iterdir()]) == (2, "", [])
