@@ -1,5 +1,6 @@
 """``report.png``: output, error, both commands and the fault estimate of one run, on one page."""
 
+import math
 from pathlib import Path
 from typing import Any, Final
 
@@ -305,21 +306,18 @@ def _commands(axes: list[Axes], scenario: Scenario, signals: Signals) -> None:
         else:
             axis.plot(*curve, color=style.ORANGE, lw=1.0)
         style.clip_spikes(axis, *curve, name.unit)
-    _control_authority(axes[1], scenario, signals)
+    _control_authority(axes[1], scenario)
 
 
-def _control_authority(axis: Axes, scenario: Scenario, signals: Signals) -> None:
-    """The limit of actuator and tires, if X_diff comes near."""
+def _control_authority(axis: Axes, scenario: Scenario) -> None:
+    """The limit of actuator and tires, if X_diff as drawn comes near."""
     authority = control_authority(at_speed_of(scenario, scenario.loss))
-    force = np.abs(signals.force_difference_n)
-    if authority is None or not np.isfinite(force).any():
+    low, high = axis.get_ylim()
+    if authority is None or max(-low, high) < 0.5 * authority.available_n:
         return
-    if np.nanmax(force) < 0.5 * authority.available_n:
-        return
-    sign = float(np.sign(signals.force_difference_n[int(np.nanargmax(force))]))
-    label = "control authority: actuator's limit and tires"
-    level = sign * authority.available_n
-    axis.axhline(level, color=style.INK, lw=0.9, ls=style.DOTTED, label=label)
+    level = math.copysign(authority.available_n, low + high)
+    axis.axhline(level, color=style.INK, lw=0.9, ls=style.DOTTED, label="limit: actuator, tires")
+    axis.set_ylim(min(low, 1.1 * level), max(high, 1.1 * level))
     style.legend_above(axis)
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
@@ -105,13 +106,28 @@ def test_nothing_is_shaded_where_nothing_was_lost(tmp_path, setting):
 
 
 def test_a_spike_is_off_the_scale_and_said_to_be(tmp_path):
-    torque = drawn(tmp_path, "thesis-step", "duration_s=3.0", "fault.at_s=1.5").axes[2]
+    page = drawn(tmp_path, "thesis-step", "duration_s=3.0", "fault.at_s=1.5")
+    torque, force = page.axes[2:4]
     assert torque.get_ylim()[1] < 1000.0
     assert torque.texts[0].get_text() == "peak 249000 N m at 0 s"
-    page = torque.figure
     page.canvas.draw()
-    boxes = [part.get_window_extent() for part in (torque.texts[0], torque.get_legend())]
-    assert not boxes[0].overlaps(boxes[1])
+    for axis in (torque, force):
+        boxes = [part.get_window_extent() for part in (axis.texts[0], axis.get_legend())]
+        assert not boxes[0].overlaps(boxes[1])
+
+
+def limit_drawn(force: Axes) -> list[float]:
+    return [float(line.get_ydata()[0]) for line in force.lines if "limit" in line.get_label()]
+
+
+def test_the_limit_of_the_force_is_drawn_in_view_where_the_force_comes_near(tmp_path):
+    lost = ("duration_s=0.5", "fault.at_s=0.2", "reference.amplitude_mps2=-1.0")
+    force = drawn(tmp_path, "thesis-step", *lost).axes[3]
+    (limit,) = limit_drawn(force)
+    assert force.get_ylim()[0] < limit < 0.0
+    spike = drawn(tmp_path, "thesis-step", "duration_s=1.0", "fault.kind=none").axes[3]
+    assert spike.texts
+    assert not limit_drawn(spike)
 
 
 def test_an_open_loop_shows_its_deviation_and_not_an_error(tmp_path):
