@@ -172,13 +172,17 @@ def _canonical(name: str, roots: Iterable[complex]) -> Roots:
     for value in values:
         if not (math.isfinite(value.real) and math.isfinite(value.imag)):
             raise ParameterError(f"{name} contain {value}: every root must be finite")
-    upper = [value for value in values if value.imag > 0]
-    lower = [value.conjugate() for value in values if value.imag < 0]
-    if unpaired := (Counter(upper) - Counter(lower)) + (Counter(lower) - Counter(upper)):
+    upper = sorted((v for v in values if v.imag > 0), key=_in_order)
+    lower = sorted((v.conjugate() for v in values if v.imag < 0), key=_in_order)
+    if upper != lower:
+        unpaired = (Counter(upper) - Counter(lower)) + (Counter(lower) - Counter(upper))
         raise ParameterError(f"{name} contain {next(iter(unpaired))} without its exact conjugate")
-    real = sorted((v for v in values if v.imag == 0), key=lambda v: (abs(v.real), v.real))
-    upper.sort(key=lambda v: (v.imag, abs(v.real), v.real))
+    real = sorted((v for v in values if v.imag == 0), key=_in_order)
     return (*real, *(root for u in upper for root in (u, u.conjugate())))
+
+
+def _in_order(root: complex) -> tuple[float, float, float]:
+    return root.imag, abs(root.real), root.real
 
 
 def _trimmed(name: str, coefficients: ArrayLike) -> NDArray[np.float64]:
