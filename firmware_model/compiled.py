@@ -14,13 +14,17 @@ import re
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import njit
 from numba.core import config, event
 from numba.core.bytecode import FunctionIdentity
+from numba.core.caching import FunctionCache
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.runtime.nrt import rtsys
+from numba.np import numpy_support
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -29,6 +33,10 @@ Function = TypeVar("Function", bound=Callable[..., object])
 # runs the one for the other (numba's issue 10486).
 _identity: Any = FunctionIdentity
 _identity._unique_ids = iter(lambda: uuid.uuid4().int >> 64, None)
+
+# Numba takes a record's layout apart anew for each of its nested records.
+_records: Any = numpy_support
+_records.from_struct_dtype = cache(_records.from_struct_dtype)
 
 
 _IMPORT = re.compile(
@@ -142,35 +150,64 @@ class _LawIsCompiled(event.Listener):
 
 def _compiled(function: Function, *, allocates: bool, nogil: bool = False) -> Function:
     settings: Any = config
-    folder = _folder(Path(inspect.getfile(function)))
-    before, settings.CACHE_DIR = settings.CACHE_DIR, folder
-    # The last two are numba's options, absent from numba's type hints. No function is passed as an
-    # argument, so none needs a wrapper for C: 7 % of the time that compiling takes.
-    options: dict[str, Any] = {
-        "error_model": "numpy", "nogil": nogil, "_nrt": allocates, "no_cfunc_wrapper": True,
-    }  # fmt: skip
-    try:
-        made: Any = njit(cache=True, **options)(function)
-        _name_apart(made)
-        _bear_a_full_disk(made)
-    except RuntimeError:  # no folder for the cache
-        made = njit(cache=False, **options)(function)
-    finally:
-        settings.CACHE_DIR = before
-    return cast(Function, made)
+    if settings.DISABLE_JIT:
+        return function
+    # No function is passed as an argument, so none needs a wrapper for C: 7 % of the time that
+    # compiling takes.
+    return cast(Function, _OnFirstCall(
+        function, error_model="numpy", nogil=nogil, _nrt=allocates, no_cfunc_wrapper=True,
+    ))  # fmt: skip
 
 
-def _name_apart(function: Any) -> None:
-    """Give each file of compiled code another name.
+class _OnFirstCall:
+    """A function that numba sees on its first call, or where numba compiles a caller.
 
-    Numba counts the files of a function: two processes that compile the function at the same time
-    for different types write the same file, and the code for one type runs on the other.
+    A command needs code for a few of the hundreds of functions: a run from the cache starts sooner.
     """
-    if hasattr(function, "_cache"):  # compiled, not interpreted
-        function._cache._cache_file._data_name = lambda _number: f"{uuid.uuid4().hex}.nbc"
+
+    def __init__(self, function: Callable[..., object], **options: Any) -> None:
+        update_wrapper(self, function)
+        self.py_func = function
+        self._options = options
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return self._dispatcher(*arguments, **named)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """The type that numba asks for where compiled code calls the function."""
+        return self._dispatcher._numba_type_
+
+    @cached_property
+    def _dispatcher(self) -> Any:
+        settings: Any = config
+        made: Any = njit(**self._options)(self.py_func)
+        folder = _folder(Path(inspect.getfile(self.py_func)))
+        with global_compiler_lock:  # the setting is the process's
+            before, settings.CACHE_DIR = settings.CACHE_DIR, folder
+            with suppress(RuntimeError):  # no folder for the cache
+                made._cache = _Cache(self.py_func, allocates=self._options["_nrt"])
+            settings.CACHE_DIR = before
+        return made
 
 
-def _bear_a_full_disk(function: Any) -> None:
-    """Compile where the cache cannot be read or written, as numba does where there is no folder."""
-    if hasattr(function, "_cache"):  # compiled, not interpreted
-        function._cache._guard_against_spurious_io_errors = lambda: suppress(OSError)
+class _Cache(FunctionCache):
+    """Numba's cache on the disk, for many processes and disks that fill up."""
+
+    def __init__(self, function: Callable[..., object], *, allocates: bool) -> None:
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        self._allocates = allocates
+        # Numba counts the files of a function: two processes that compile the function at the same
+        # time for different types write the same file, and the code for one type runs on the other.
+        files: Any = self._cache_file
+        files._data_name = lambda _number: f"{uuid.uuid4().hex}.nbc"
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """The code for ``signature``; without 0.2 s for numba's library, which compiling needs."""
+        if self._allocates:
+            rtsys.initialize(context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(signature, context)  # type: ignore[no-untyped-call]
+
+    def _guard_against_spurious_io_errors(self) -> Any:
+        return suppress(OSError)  # then compile, as numba does where there is no folder

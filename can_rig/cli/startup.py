@@ -16,7 +16,7 @@ import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from importlib.machinery import ModuleSpec, PathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from importlib.util import LazyLoader
 from types import ModuleType
 
@@ -86,6 +86,16 @@ The first two bring parts of python-can, the last two come with scipy's ``from n
 """
 
 
+class _WithoutSignatures(SourceFileLoader):
+    """Loads ``matplotlib.artist``, whose signatures for ``help()`` take 0.2 s to write."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Execute the module; its later classes inherit a plain method ``set``."""
+        super().exec_module(module)
+        artist = vars(module)["Artist"]
+        artist._update_set_signature_and_docstring = classmethod(lambda _: None)
+
+
 class _WithoutThem:
     """Hides optional dependencies from a single importing module, and puts parts off."""
 
@@ -99,10 +109,12 @@ class _WithoutThem:
             importer = sys.modules.get(asking)
             if importer is not None and not hasattr(importer, has):
                 raise ModuleNotFoundError(f"{name} is left out of {asking}", name=name)
-        if name not in _LATER or (spec := PathFinder.find_spec(name, path, target)) is None:
+        if name not in _LATER and name != "matplotlib.artist":
             return None
-        if spec.loader is not None:
-            spec.loader = LazyLoader(spec.loader)
+        spec = PathFinder.find_spec(name, path, target)
+        if spec is not None and isinstance(spec.loader, SourceFileLoader):
+            later, file = name in _LATER, spec.loader
+            spec.loader = LazyLoader(file) if later else _WithoutSignatures(name, file.path)
         return spec
 
 

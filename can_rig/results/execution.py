@@ -8,8 +8,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Final
 
@@ -20,7 +22,7 @@ from can_rig.controllers.protocol import InNode, Supplied
 from can_rig.errors import INTERRUPTED, BusError, RigError, one_line
 from can_rig.frames.network import Network
 from can_rig.nodes.agreement import is_shared, own_bus, require_alone
-from can_rig.nodes.bus_access import Progress, StopRequest, Throttled, Timeouts, no_progress
+from can_rig.nodes.bus_access import OnTick, Progress, StopRequest, Throttled, Timeouts, no_progress
 from can_rig.nodes.interaction import UNTOUCHED
 from can_rig.nodes.lockstep import require_ticks
 from can_rig.nodes.processes import in_another_process, run_processes
@@ -90,7 +92,13 @@ def two_processes(
     scenario: Scenario, log: Path, stop: StopRequest, options: Options
 ) -> NodeSummary:
     """Each node in a process of its own."""
-    return run_processes(scenario, str(options.bus), log, stop, options, options.progress)
+
+    def progress() -> AbstractContextManager[OnTick]:
+        if options.report and not options.real_time:  # the nodes share one core, another is free
+            import_module("can_rig.results.report.page")
+        return options.progress()
+
+    return run_processes(scenario, str(options.bus), log, stop, options, progress)
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from numba.core import config, event
-from numba.core.caching import IndexDataCacheFile
+from numba.core.caching import FunctionCache
 from numba.core.errors import NumbaError
 
 from firmware_model import compiled
@@ -58,35 +59,30 @@ def test_another_state_of_what_a_file_imports_has_another_folder(tmp_path, monke
         assert folder_in_another_process() == first
 
 
-def nothing() -> None:
-    pass
+def three() -> int:
+    return 3
 
 
 def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch):
-    calls = []
+    def refuse(*_: object) -> None:
+        raise RuntimeError("no locator available")
 
-    def njit(cache, **options):  # type: ignore[no-untyped-def]
-        calls.append((cache, options))
-        if cache:
-            raise RuntimeError("no locator available")
-        return lambda function: function
-
-    monkeypatch.setattr(compiled, "njit", njit)
-    assert compiled.firmware(nothing) is nothing
-    options = {
-        "error_model": "numpy", "nogil": False, "_nrt": False, "no_cfunc_wrapper": True,
-    }  # fmt: skip
-    assert calls == [(True, options), (False, options)]
+    monkeypatch.setattr(config, "DISABLE_JIT", 0)
+    monkeypatch.setattr(FunctionCache, "__init__", refuse)
+    function = compiled.firmware(three)
+    assert function() == 3
+    assert len(numba.typeof(function).dispatcher.overloads) == 1
 
 
 def test_only_a_whole_run_lets_go_of_the_lock(monkeypatch):
     """A tick of a node keeps the lock: releasing costs a wait for the next owner."""
-    monkeypatch.setattr(compiled, "njit", lambda cache, **options: lambda function: options)
+    monkeypatch.setattr(config, "DISABLE_JIT", 0)
+    monkeypatch.setattr(compiled, "njit", lambda **options: lambda function: lambda: options)
     options: list[Any] = [
-        mark(nothing) for mark in (compiled.firmware, compiled.compiled, compiled.firmware_run)
+        mark(three)() for mark in (compiled.firmware, compiled.compiled, compiled.firmware_run)
     ]
     assert [each["nogil"] for each in options] == [False, False, True]
-    assert not options[2]["_nrt"]
+    assert [each["_nrt"] for each in options] == [False, True, False]
 
 
 def test_what_runs_on_the_target_cannot_allocate(monkeypatch):
@@ -119,19 +115,19 @@ def test_who_waits_for_the_law_to_be_compiled_is_told(monkeypatch):
     assert told == [1]
 
 
-def test_code_for_two_types_compiled_at_once_is_not_mixed_up(tmp_path):
+def test_code_for_two_types_compiled_at_once_is_not_mixed_up(tmp_path, monkeypatch):
     """The order of two processes that lets numba put the code for one type in place of the other's.
 
     Both have read an index without entries; the first writes its code last.
     """
-    first, second = (IndexDataCacheFile(str(tmp_path), "function", "stamp") for _ in range(2))
-    for file in (first, second):
-        compiled._name_apart(SimpleNamespace(_cache=SimpleNamespace(_cache_file=file)))
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    first, second = (compiled._Cache(three, allocates=False)._cache_file for _ in range(2))
     late: list[tuple[str, str]] = []
     with pytest.MonkeyPatch.context() as changed:
         changed.setattr(first, "_save_data", lambda name, code: late.append((name, code)))
         first.save("float64", "code for float64")
-    (tmp_path / "function.nbi").unlink()
+    (index,) = tmp_path.rglob("*.nbi")
+    index.unlink()
     second.save("float32", "code for float32")
     first._save_data(*late[0])
     assert second.load("float32") == "code for float32"
@@ -139,18 +135,24 @@ def test_code_for_two_types_compiled_at_once_is_not_mixed_up(tmp_path):
 
 MODULE = """
 import sys
+import numba
 import numpy as np
-from firmware_model.compiled import firmware
+from firmware_model.compiled import compiled, firmware
 
 @firmware
 def double(state):
     state.value += state.value
 
+@compiled
+def twice(values):
+    return np.repeat(values, 2)
+
 for real in sys.argv[1:]:
     states = np.full(1, 21, [("before", real), ("value", real), ("after", real)])
     double(states[0])
     assert states.item() == (21, 42, 21)
-for code in double.overloads.values():
+assert twice(np.ones(1)).sum() == 2
+for code in numba.typeof(double).dispatcher.overloads.values():
     print(code.fndesc.mangled_name)
 """
 
