@@ -92,8 +92,13 @@ def test_what_runs_on_the_target_cannot_allocate(monkeypatch):
     def reserve(n: int) -> float:
         return float(np.zeros(n)[0])
 
+    @compiled.compiled
+    def reserve_elsewhere(n: int) -> float:
+        return float(np.zeros(n)[0])
+
     with pytest.raises(NumbaError, match="zeros"):
         reserve(3)
+    assert reserve_elsewhere(3) == 0.0
 
 
 def test_who_waits_for_the_law_to_be_compiled_is_told(monkeypatch):
