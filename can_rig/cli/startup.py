@@ -79,10 +79,12 @@ _NOT_WANTED = {
 Asammdf brings pandas with it, most of a second that only .mf4 logs need, and ``can_rig.logs`` calls
 it itself. Coverage would be told which lines numba compiles. Yaml would read a file of settings.
 """
-_LATER = {"cantools.logreader", "cantools.tester", "numpy.f2py", "numpy.testing"}
+_LATER = {
+    "cantools.logreader", "cantools.tester", "numpy.f2py", "numpy.ma", "numpy.testing",
+}  # fmt: skip
 """Parts of libraries that their packages import unused; loaded where an attribute is asked for.
 
-The first two bring parts of python-can, the last two come with scipy's ``from numpy import *``.
+The first two bring parts of python-can, those of NumPy come with scipy's ``from numpy import *``.
 """
 
 

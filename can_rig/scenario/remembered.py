@@ -19,17 +19,18 @@ def remembered(
     """
 
     def keeping(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-        known: dict[tuple[object, ...], Result] = {}
+        known: dict[tuple[object, ...], tuple[Result]] = {}
 
         @wraps(function)
         def asked(*arguments: Arguments.args, **keywords: Arguments.kwargs) -> Result:
             what = (*arguments, *keywords.items()) if by is None else by(*arguments, **keywords)
             key = tuple(what)
-            result = known.pop(key) if key in known else function(*arguments, **keywords)
-            known[key] = result  # now the most recent
+            # Another thread may ask at the same time, and a fork leaves a lock locked: no lock.
+            found = known.pop(key, None) or (function(*arguments, **keywords),)
+            known[key] = found  # now the most recent
             if len(known) > most:
-                del known[next(iter(known))]
-            return result
+                known.pop(next(iter(known.copy())), None)
+            return found[0]
 
         return asked
 
