@@ -173,6 +173,10 @@ class _OnFirstCall:
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         return self._dispatcher(*arguments, **named)
 
+    def __reduce__(self) -> str:
+        """Pickled by name, as a function."""
+        return str(vars(self)["__qualname__"])
+
     @property
     def _numba_type_(self) -> Any:
         """The type that numba asks for where compiled code calls the function."""

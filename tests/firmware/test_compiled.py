@@ -1,6 +1,7 @@
 """Where compiled code is kept, and what happens where it cannot be."""
 
 import os
+import pickle
 import resource
 import subprocess
 import sys
@@ -99,6 +100,13 @@ def test_what_runs_on_the_target_cannot_allocate(monkeypatch):
     with pytest.raises(NumbaError, match="zeros"):
         reserve(3)
     assert reserve_elsewhere(3) == 0.0
+
+
+def test_another_process_gets_a_compiled_function_by_its_name(monkeypatch):
+    monkeypatch.setattr(config, "DISABLE_JIT", 0)
+    made = compiled.firmware(three)
+    monkeypatch.setattr(sys.modules[__name__], "three", made)
+    assert pickle.loads(pickle.dumps(made)) is made
 
 
 def test_who_waits_for_the_law_to_be_compiled_is_told(monkeypatch):
