@@ -183,6 +183,8 @@ def test_coefficients_refused(num, den, named):
      ((1 + 1j,), (), 1.0, r"zeros contain \(1\+1j\) without its exact conjugate"),
      ((), (1 - 1j,), 1.0, "without its exact conjugate"),
      ((), (1 + 1j, 1 - 1.0000000000000002j), 1.0, "without its exact conjugate"),
+     ((), (1j, -1j, 2 + 2j), 1.0, r"poles contain \(2\+2j\) without"),
+     ((), (1j, -1j, 2 - 2j), 1.0, r"poles contain \(2\+2j\) without"),
      ((), (1 + 1j, 1 + 1j, 1 - 1j), 1.0, "without its exact conjugate")],
 )  # fmt: skip
 def test_construction_refused(zeros, poles, gain, named):
