@@ -189,9 +189,11 @@ class _OnFirstCall:
         folder = _folder(Path(inspect.getfile(self.py_func)))
         with global_compiler_lock:  # the setting is the process's
             before, settings.CACHE_DIR = settings.CACHE_DIR, folder
-            with suppress(RuntimeError):  # no folder for the cache
-                made._cache = _Cache(self.py_func, allocates=self._options["_nrt"])
-            settings.CACHE_DIR = before
+            try:
+                with suppress(RuntimeError):  # no folder for the cache
+                    made._cache = _Cache(self.py_func, allocates=self._options["_nrt"])
+            finally:
+                settings.CACHE_DIR = before
         return made
 
 

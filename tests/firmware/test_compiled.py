@@ -84,6 +84,9 @@ def test_only_a_whole_run_lets_go_of_the_lock(monkeypatch):
     ]
     assert [each["nogil"] for each in options] == [False, False, True]
     assert [each["_nrt"] for each in options] == [False, True, False]
+    assert options[0] == {
+        "error_model": "numpy", "nogil": False, "_nrt": False, "no_cfunc_wrapper": True,
+    }  # fmt: skip
 
 
 def test_what_runs_on_the_target_cannot_allocate(monkeypatch):
