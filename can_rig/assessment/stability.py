@@ -344,29 +344,32 @@ def check_stability(
     else:
         margins_with = partial(margins_of, linear_law_of(scenario), plant, scenario.tick_s)
 
-    def others() -> dict[str, Any]:
-        return {
-            "partly_lost": {left: margins_with((left, 1.0)) for left in PARTLY_LOST},
-            "false_alarm": (
+    healthy, faulted = margins_with(HEALTHY), margins_with(DEAD[scenario.loss.channel])
+
+    def without_drives() -> StabilityCheck:
+        return StabilityCheck(
+            scenario=scenario,
+            healthy=healthy,
+            faulted=faulted,
+            partly_lost={left: margins_with((left, 1.0)) for left in PARTLY_LOST},
+            false_alarm=(
                 margins(ours, plant, scenario.tick_s, confirmed=1.0)
                 if ours is not None and ours.compensator.on_confirmation
                 else None
             ),
-            "decision": decision_figures(scenario) if decides else None,
-            "control_authority": control_authority(scenario),
-            "limitations": plant_limitations(scenario),
-        }
+            decision=decision_figures(scenario) if decides else None,
+            control_authority=control_authority(scenario),
+            limitations=plant_limitations(scenario),
+            findings=[],
+        )
 
-    healthy, faulted = margins_with(HEALTHY), margins_with(DEAD[scenario.loss.channel])
     findings: list[Finding] = []
     with ThreadPoolExecutor(1) as beside:  # while cars drive, a core has time
-        found = beside.submit(others)
+        check = beside.submit(without_drives)
         if healthy.stable and faulted.stable:
             drives = Drives(scenario)
             findings = own_findings(drives) + box_findings(drives, on_car)
-        return StabilityCheck(
-            scenario=scenario, healthy=healthy, faulted=faulted, findings=findings, **found.result()
-        )
+        return replace(check.result(), findings=findings)
 
 
 def refuse_unstable(
