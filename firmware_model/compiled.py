@@ -14,7 +14,7 @@ import re
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache, cached_property, update_wrapper
+from functools import cache, update_wrapper
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -169,9 +169,10 @@ class _OnFirstCall:
         update_wrapper(self, function)
         self.py_func = function
         self._options = options
+        self._dispatcher: Any = None
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
-        return self._dispatcher(*arguments, **named)
+        return (self._dispatcher or self._made())(*arguments, **named)
 
     def __reduce__(self) -> str:
         """Pickled by name, as a function."""
@@ -180,21 +181,23 @@ class _OnFirstCall:
     @property
     def _numba_type_(self) -> Any:
         """The type that numba asks for where compiled code calls the function."""
-        return self._dispatcher._numba_type_
+        return (self._dispatcher or self._made())._numba_type_
 
-    @cached_property
-    def _dispatcher(self) -> Any:
+    def _made(self) -> Any:
         settings: Any = config
-        made: Any = njit(**self._options)(self.py_func)
-        folder = _folder(Path(inspect.getfile(self.py_func)))
-        with global_compiler_lock:  # the setting is the process's
-            before, settings.CACHE_DIR = settings.CACHE_DIR, folder
-            try:
-                with suppress(RuntimeError):  # no folder for the cache
-                    made._cache = _Cache(self.py_func, allocates=self._options["_nrt"])
-            finally:
-                settings.CACHE_DIR = before
-        return made
+        # No second lock: a thread that compiles holds this one, and asks for further functions.
+        with global_compiler_lock:
+            if self._dispatcher is None:
+                made: Any = njit(**self._options)(self.py_func)
+                folder = _folder(Path(inspect.getfile(self.py_func)))
+                before, settings.CACHE_DIR = settings.CACHE_DIR, folder  # the process's
+                try:
+                    with suppress(RuntimeError):  # no folder for the cache
+                        made._cache = _Cache(self.py_func, allocates=self._options["_nrt"])
+                finally:
+                    settings.CACHE_DIR = before
+                self._dispatcher = made
+        return self._dispatcher
 
 
 class _Cache(FunctionCache):

@@ -112,6 +112,36 @@ def test_another_process_gets_a_compiled_function_by_its_name(monkeypatch):
     assert pickle.loads(pickle.dumps(made)) is made
 
 
+TWO_THREADS = """
+import threading, time
+import numba
+from numba.core.compiler_lock import global_compiler_lock
+from firmware_model import compiled
+
+called, asked, locked = *(compiled.firmware(lambda: 3.0) for _ in range(2)), threading.Event()
+
+def call():
+    locked.wait()
+    called()
+
+other = threading.Thread(target=call)
+other.start()
+with global_compiler_lock:  # as while a caller of a function is compiled
+    locked.set()
+    time.sleep(0.2)  # the other thread waits for the lock now
+    numba.typeof(asked)
+other.join()
+"""
+
+
+@pytest.mark.compiled
+def test_a_thread_that_compiles_does_not_wait_for_a_first_call_in_another(tmp_path):
+    folders = {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+    file = tmp_path / "two_threads.py"  # numba caches no function that has no file
+    file.write_text(TWO_THREADS)
+    subprocess.run([sys.executable, file], check=True, timeout=60, env=os.environ | folders)
+
+
 def test_who_waits_for_the_law_to_be_compiled_is_told(monkeypatch):
     def compile_one(function: Any) -> None:
         dispatcher = SimpleNamespace(py_func=function)
