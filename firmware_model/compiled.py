@@ -184,20 +184,22 @@ class _OnFirstCall:
         return (self._dispatcher or self._made())._numba_type_
 
     def _made(self) -> Any:
-        settings: Any = config
         # No second lock: a thread that compiles holds this one, and asks for further functions.
         with global_compiler_lock:
-            if self._dispatcher is None:
-                made: Any = njit(**self._options)(self.py_func)
-                folder = _folder(Path(inspect.getfile(self.py_func)))
-                before, settings.CACHE_DIR = settings.CACHE_DIR, folder  # the process's
-                try:
-                    with suppress(RuntimeError):  # no folder for the cache
-                        made._cache = _Cache(self.py_func, allocates=self._options["_nrt"])
-                finally:
-                    settings.CACHE_DIR = before
-                self._dispatcher = made
+            self._dispatcher = self._dispatcher or self._new()
         return self._dispatcher
+
+    def _new(self) -> Any:
+        settings: Any = config
+        made: Any = njit(**self._options)(self.py_func)
+        folder = _folder(Path(inspect.getfile(self.py_func)))
+        before, settings.CACHE_DIR = settings.CACHE_DIR, folder  # the process's
+        try:
+            with suppress(RuntimeError):  # no folder for the cache
+                made._cache = _Cache(self.py_func, allocates=self._options["_nrt"])
+        finally:
+            settings.CACHE_DIR = before
+        return made
 
 
 class _Cache(FunctionCache):
