@@ -17,6 +17,7 @@ from can_rig.plant.actuated_plant import (
 )
 from can_rig.plant.disturbances import BANK, BLOCK, Disturbances
 from can_rig.plant.protocol import is_pushable, require_world
+from can_rig.plant.witnesses import all_samples_arrive
 from can_rig.scenario.build import continuous_car
 from can_rig.scenario.driving import SpeedProfile, speed_profile
 from can_rig.scenario.plant_settings import PlantSettings
@@ -65,14 +66,16 @@ def plant_of(scenario: Scenario, changing: bool = False) -> ActuatedPlant:
 def linear_plant(scenario: Scenario) -> SampledPlant | None:
     """The linear plant from tick to tick; None for a plant class, a drive and disturbances.
 
-    None with further sensors for the controller.
+    None with further sensors for a controller that is not ours, or with a fault of their frames.
 
     Raises:
         ScenarioError: a car that is not stable.
     """
     if scenario.plant.is_own or scenario.drive.is_given or scenario.disturbances:
         return None
-    if scenario.heard or (scenario.sensors and not scenario.controller.is_ours):
+    if scenario.sensors and not scenario.controller.is_ours:
+        return None
+    if scenario.heard and not all_samples_arrive(scenario):
         return None
     return sampled_plant(scenario.plant, scenario.tick_s, scenario.sensors)
 

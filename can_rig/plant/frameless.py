@@ -22,7 +22,7 @@ from can_rig.plant.changing_car import linear_plant, plant_of
 from can_rig.plant.faults.frame_faults import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import NoiseColumns
-from can_rig.plant.witnesses import PlantRead, Sensed, frame_row
+from can_rig.plant.witnesses import AllSamples, PlantRead, Sensed, frame_row
 from can_rig.scenario.build import network_of
 from can_rig.scenario.controls import controls
 from can_rig.scenario.driving import speeds_at_ticks
@@ -198,10 +198,13 @@ def simulation(
     keeps_states: bool = False,
 ) -> Simulation:
     """``scenario`` without a bus, at rest; for the arguments see ``frameless``, ``Simulation``."""
-    hears = bool(scenario.heard) if of is not None else bool(network.witnesses)
-    if hears and not isinstance(plant, Sensed):
-        assert not isinstance(plant, SampledPlant)
-        plant = Sensed(scenario, network, plant)
+    heard = bool(scenario.heard) if of is not None else bool(network.witnesses)
+    hears: Sensed | AllSamples | None = None
+    if heard:
+        if isinstance(plant, SampledPlant):
+            hears = AllSamples(scenario, network.witnesses)
+        else:
+            plant = hears = plant if isinstance(plant, Sensed) else Sensed(scenario, network, plant)
     at_rest = None
     if of is not None:
         at_rest = controller.init(of.table)
@@ -226,7 +229,7 @@ def simulation(
         ),
         keeps_states=keeps_states,
         at_rest=at_rest,
-        hears=plant if of is not None and hears and isinstance(plant, Sensed) else None,
+        hears=None if of is None else hears,
         restarts=[(each.start, each.stop, each.state_survives) for each in scenario.outages],
     )
 

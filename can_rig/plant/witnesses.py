@@ -17,9 +17,10 @@ from can_rig.controllers.protocol import samples_in
 from can_rig.frames.codec import Hearing, MessageCodec, Transmitter
 from can_rig.frames.network import Network
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
-from can_rig.plant.faults.plant_faults import FaultsByTick
+from can_rig.plant.faults.plant_faults import FaultsByTick, PlantFaults
 from can_rig.plant.sensor import NoiseColumns
-from can_rig.scenario.sensor_settings import ECHOES, MEASURED, SAMPLE_TICKS
+from can_rig.scenario.build import network_of
+from can_rig.scenario.sensor_settings import ECHOES, HEARD, MEASURED, SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import GRID, frame_of
 from firmware_model.analysis.sampled_plant import AnyPlant
@@ -220,6 +221,45 @@ class Sensed:
         for message in self.sent[-1]:
             self._hearing.take(message, tick)
         return self._hearing.end_tick(tick)
+
+
+def all_samples_arrive(scenario: Scenario) -> bool:
+    """Whether no fault acts on a frame of a further sensor."""
+    senders, places = network_of(scenario).senders, scenario.places
+    return not any(
+        each.acts_on_frames and senders[places.index(each.place)] > SENSOR_PLACE
+        for each in scenario.faults
+    )
+
+
+class AllSamples:
+    """The further sensors of a linear plant that the rig's own law hears; see ``HearsAll``."""
+
+    def __init__(self, scenario: Scenario, codecs: Sequence[MessageCodec]) -> None:
+        self._senses, self._faults = Senses(scenario, codecs), PlantFaults(scenario)
+        sensors, r = [each.measures for each in scenario.sensors], len(scenario.sensors)
+        heard = [
+            (sensors.index(each), number) for number, each in enumerate(HEARD, 1) if each in sensors
+        ]
+        self._fixed = (
+            np.array(heard, np.int64),
+            np.array([ECHOES.index(each) if each in ECHOES else 0 for each in sensors], np.int64),
+            np.array([SAMPLE_TICKS if codec.modes else 1 for codec in codecs]),
+            self._senses.constants,
+        )
+        self._now = (
+            self._senses.memory(self._faults.latest_ticks),
+            *(np.zeros(r) for _ in range(3)),
+            *(np.zeros(r, np.int64) for _ in range(2)),
+        )
+        self._done = 0
+
+    def samples_of(self, ticks: int) -> Any:
+        """See ``HearsAll``."""
+        its = range(self._done, self._done + ticks)
+        self._done = its.stop
+        bias, faults = self._faults.of_witnesses(its)
+        return self._fixed, self._now, its.start, bias, self._senses.noise(ticks), faults
 
 
 def frame_row(codec: MessageCodec) -> FloatArray:

@@ -219,8 +219,8 @@ def signals_without_log(scenario: Scenario) -> Signals:
         linear_plant(scenario),
     )
     loop = simulation(scenario, network, linear or plant_of(scenario), of, inputs)
-    compiled = linear is not None and of is not None
-    if compiled and scenario.faults and not len(inputs.faults):
+    shares = linear is not None and of is not None and not scenario.heard
+    if shares and scenario.faults and not len(inputs.faults):
         _begin_without_fault(loop, scenario)
     loop.run()
     signals = signals_of_trace(loop.trace, inputs.delivery, loop.ticks, network)

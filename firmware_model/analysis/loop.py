@@ -7,10 +7,12 @@ from typing import Any
 from firmware_model.analysis import hardware
 from firmware_model.analysis.changing_plant import follow_changing
 from firmware_model.analysis.sampled_plant import follow
+from firmware_model.analysis.witnesses import VALID, acting_before, read_witnesses, sense
 from firmware_model.compiled import firmware, firmware_run
 from firmware_model.law import controller
 from firmware_model.law.layout import State, Table
 from firmware_model.law.structs import Records
+from firmware_model.law.supervision.further_sensors import hear
 
 OUTPUT, MEASURED, COMMAND_1, COMMAND_2, ESTIMATE, EVIDENCE = range(6)
 ACTING_1, REACHED_1, READING, ROWS = 6, 8, 10, 11  # rows of a tick; two of the first two
@@ -132,6 +134,51 @@ def run_ticks(
             for i in range(plant_states.shape[1]):
                 plant_states[k, i] = memory[0][i]
         y, read = follow(plant, memory, k, u1, u2, left[k, 0], left[k, 1])
+    return y, read
+
+
+@firmware_run
+def run_hearing(
+    loop: Any, begin: int, end: int, y: float, read: float, plant: Any, memory: Any, readings: Any,
+    sensors: Any,
+) -> tuple[float, float]:  # fmt: skip
+    """Ticks of a loop with a ``SampledPlant`` whose further sensors the law hears.
+
+    Args:
+        loop: the first seven arguments of ``tick``.
+        begin: the first tick of the loop.
+        end: the tick after the last tick.
+        y: the output of the plant at ``begin``.
+        read: the sensor's reading at ``begin``.
+        plant: the constants of ``follow``.
+        memory: of ``follow``; changed in place.
+        readings: the constants of ``read_witnesses``.
+        sensors: see ``HearsAll.samples_of`` in ``simulation``.
+    """
+    tables, controllers, inputs, grid, actuators, signals, states = loop
+    left = inputs[3]
+    fixed, now, first, bias, noise, faults = sensors
+    heard, channels, wraps, constants = fixed
+    of_sensors, truth, told, values, samples, sent = now
+    for k in range(begin, end):
+        at = k - begin
+        before = k - 1 - tables[0].estimator.latency_ticks
+        for each in range(len(truth)):
+            told[each] = signals[ACTING_1 + channels[each], before] if before >= 0 else 0.0
+        sense(
+            first + at, truth, told, bias[at], noise[at], faults[min(at, len(faults) - 1)],
+            constants, of_sensors, values, samples, sent,
+        )  # fmt: skip
+        for each in range(len(heard)):
+            sensor, number = heard[each]
+            if sent[sensor] == VALID:
+                age = (first + at - samples[sensor]) % wraps[sensor]
+                hear(tables[0], controllers[0], float(number), values[sensor], float(age))
+        u1, u2 = tick(tables, controllers, inputs, grid, actuators, signals, states, k, y, read)
+        y, read = follow(plant, memory, k, u1, u2, left[k, 0], left[k, 1])
+        acted_1 = acting_before(plant, memory, k, u1, left[k, 0], 0)
+        acted_2 = acting_before(plant, memory, k, u2, left[k, 1], 1)
+        read_witnesses(readings, memory[0], acted_1, acted_2, truth)
     return y, read
 
 

@@ -32,6 +32,7 @@ from firmware_model.analysis.loop import (
     carry,
     measure,
     run_changing,
+    run_hearing,
     run_ticks,
     tick,
 )
@@ -112,6 +113,25 @@ class Hears(Protocol):
         """The controller begins again, as after power-up."""
 
 
+@runtime_checkable
+class HearsAll(Protocol):
+    """Who hears the further sensors of a ``SampledPlant``, whose every frame arrives."""
+
+    def samples_of(self, ticks: int) -> Any:
+        """What happens to the sensors in the next ticks, for ``loop.run_hearing``.
+
+        Returns:
+            What stays the same: sensor and number of each sample that ``further_sensors.hear``
+            takes (n, 2), in the order of the calls; the channel of each echo (r,); the number
+            modulo which a frame has the tick of its sample (r,), 1: not at all; the constants of
+            ``sense``.
+            What changes in place: the memory of ``sense``, the readings (r,), and room for the
+            told commands, the values, the ticks of the samples and the states of ``sense``.
+            The first tick of the run. The bias and the noise (ticks, r), and the faults (ticks, r,
+            ``DISTORTION``) or (1, r, ``DISTORTION``).
+        """
+
+
 class AnyController(Protocol):
     """A controller in place of the control law, at rest when it is given to ``simulate``."""
 
@@ -156,7 +176,8 @@ class Simulation:
         frames: (3, ``GRID``), frames of both commands and of the measurement; see ``hardware``.
         keeps_states: whether ``plant_states`` records the states of a ``SampledPlant``.
         at_rest: (1,), the controller's first state, also after a restart; None: at rest.
-        hears: hears the further sensors. Default: the law hears none.
+        hears: hears the further sensors. Default: the law hears none. ``HearsAll`` only with a
+            ``SampledPlant``.
         restarts: in ascending order, the first tick without power, the tick at whose begin the
             controller starts again, and whether the state saved before survives.
     """
@@ -181,7 +202,7 @@ class Simulation:
         frames: FloatArray = hardware.EXACT_FRAMES,
         keeps_states: bool = False,
         at_rest: Records[State] | None = None,
-        hears: Hears | None = None,
+        hears: Hears | HearsAll | None = None,
         restarts: Sequence[tuple[int, int, bool]] = (),
     ) -> None:
         self.ticks = ticks = len(reference)
@@ -205,7 +226,8 @@ class Simulation:
         self._latency_ticks = int(
             table.estimator.latency_ticks if self._other is None else self._other.latency_ticks
         )
-        self._hears = hears
+        self._hears_all = hears if isinstance(hears, HearsAll) else None
+        self._hears = None if isinstance(hears, HearsAll) else hears
         self._restarts = tuple(restarts)
         fixed = cast("Records[Table]", np.asarray(table).reshape(1))
         own = state.view(np.uint8).copy().view(state.dtype)  # a copy field by field is slow
@@ -264,7 +286,12 @@ class Simulation:
             return
         plant, output = self._plant, self._output
         ours = self._other is None and self._hears is None
-        if isinstance(plant, SampledPlant) and ours:
+        if isinstance(plant, SampledPlant) and self._hears_all is not None:
+            of_plant = plant.constants, self._memory, plant.readings.constants
+            samples = self._hears_all.samples_of(end - self.done)
+            self._output = run_hearing(self._loop, self.done, end, *output, *of_plant, samples)
+            self.done = end
+        elif isinstance(plant, SampledPlant) and ours:
             of_plant = plant.constants, self._memory, self.plant_states
             self._output = run_ticks(self._loop, self.done, end, *output, *of_plant)
             self.done = end
@@ -317,7 +344,7 @@ class Simulation:
     def go_on_from(self, other: Simulation) -> None:
         """Copy the position of ``other``: a loop of the same table, ``SampledPlant`` and length.
 
-        The inputs of both loops must agree up to the position.
+        The inputs of both loops must agree up to the position, and the law hears no sensor.
         """
         self._loop[1][0] = other._loop[1][0]
         for own, its in zip(self._changing, other._changing, strict=True):

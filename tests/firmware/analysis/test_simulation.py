@@ -7,16 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from firmware_model.analysis import witnesses
 from firmware_model.analysis.changing_plant import changing_plant, follow_changing
 from firmware_model.analysis.hardware import EXACT_FRAMES, GAIN, HEALTHY, SENSOR, SLEW, frame_of
 from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, sample
 from firmware_model.analysis.simulation import Simulation, Trace, simulate
+from firmware_model.analysis.witnesses import ECHO, Reading, with_readings
 from firmware_model.design.actuator_dynamics import IDEAL
 from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Reporting, Target
 from firmware_model.firmware import Firmware
 from firmware_model.law.controller import init
+from firmware_model.law.structs import FloatArray
 from firmware_model.law.supervision.takeover import UNKNOWN
 from tests.firmware.analysis.loops import CAR, SLOW
 from tests.firmware.scheduled import SPEEDS, scheduled
@@ -359,3 +362,72 @@ def test_the_law_hears_the_echoes_of_each_tick(plant):
         assert answer[:2] == (loop.trace.command_1[k], loop.trace.command_2[k])
         missed = max(missed, *firmware.echo_errors)
     assert missed > 0.0
+
+
+PERIOD, PHASE, DELAY, WRAPS = 3, 1, 2, 8
+LYING, STANDING, INVALID = range(120, 160), range(160, 200), range(200, 240)
+
+
+class AllEchoes:
+    """Echoes of the torque for compiled ticks; the yaw rate beside is not heard."""
+
+    def __init__(self, noise: FloatArray) -> None:
+        self._noise, self._done = noise, 0
+        timing = np.array([[1, 0, 0], [PERIOD, PHASE, DELAY]])
+        constants = timing, np.zeros(2), EXACT_FRAMES[:2].copy()
+        self._fixed = np.array([[1, 1]]), np.array([0, 0]), np.array([1, WRAPS]), constants
+        memory = np.zeros((DELAY + 1, 2)), np.zeros(2), np.zeros(2, np.int64)
+        self._now = memory, np.zeros(2), np.zeros(2), np.zeros(2), *np.zeros((2, 2), np.int64)
+
+    def samples_of(self, ticks: int) -> Any:
+        its = range(self._done, self._done + ticks)
+        self._done = its.stop
+        faults = np.tile(witnesses.HEALTHY, (ticks, 2, 1))
+        for row, k in zip(faults, its, strict=True):
+            row[1, witnesses.LIES] = k in LYING
+            row[1, witnesses.STANDING] = k in STANDING
+            row[1, witnesses.INVALID] = k in INVALID
+        noise = np.column_stack([np.zeros(ticks), self._noise[its.start : its.stop]])
+        return self._fixed, self._now, its.start, np.zeros((ticks, 2)), noise, faults
+
+
+class Echoing(Sensing):
+    """The same echoes, tick by tick: what acted before the sample, with the sample's noise."""
+
+    def __init__(self, noise: FloatArray) -> None:
+        super().__init__()
+        self._noise = noise
+
+    def samples(self) -> list[tuple[int, float, float]]:
+        k = len(self.acted)
+        at = k - DELAY
+        if (k - PHASE) % PERIOD or k in INVALID:
+            return []
+        acted = [(0.0, 0.0), *self.acted]
+        value = (self.told if at in LYING else acted)[max(at, 0)][0] + self._noise[max(at, 0)]
+        stamp = STANDING.start - 1 - DELAY if k in STANDING else at
+        return [(1, value if at >= 0 else 0.0, float((k - stamp) % WRAPS))]
+
+    def restart(self) -> None:
+        raise AssertionError("nothing restarts here")
+
+
+def test_echoes_that_all_arrive_are_heard_in_compiled_ticks_as_one_by_one():
+    ticks = 300
+    echoes = Reporting(IDEAL, 0.1), Reporting(IDEAL, 0.1)
+    table = build(SLOW, Target(TICK_S, LATENCY, "zoh", echoes=echoes, noise_rms=0.01))
+    reading, readings = with_readings(CAR, (IDEAL,) * 3, [Reading(0), Reading(ECHO)])
+    left = np.ones((ticks, 2))
+    left[60:, 0] = 0.3
+    noise = 0.1 * np.random.default_rng(4).standard_normal(ticks)
+    plant, heard = Echoing(noise), {"effectiveness": left}
+    one_by_one = simulate(table, plant, np.ones(ticks), tick_s=TICK_S, hears=plant, **heard)
+    sampled = sample(reading, TICK_S, readings)
+    compiled = Simulation(table, sampled, np.ones(ticks), hears=AllEchoes(noise), **heard)
+    for until in (1, 17, None):
+        compiled.run(until)
+    deaf = simulate(table, sampled, np.ones(ticks), **heard)
+    for name in ("measurement", "command_2", "fault_estimate", "evidence", "verdict"):
+        found = getattr(compiled.trace, name)
+        np.testing.assert_array_equal(found, getattr(one_by_one, name))
+    assert not np.array_equal(compiled.trace.evidence, deaf.evidence)

@@ -6,20 +6,28 @@ from typing import Any
 
 import can
 import cantools
+import numpy as np
 import pytest
 
 from can_rig.errors import DbcError, ScenarioError
+from can_rig.logs.columns import ON_THE_BUS
 from can_rig.nodes.bus_access import StopRequest
+from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.execution import Options, execute, two_processes
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import load_values
+from can_rig.scenario.sensor_settings import ECHOES
 from can_rig.scenario.settings import Scenario
 from tests.rig.own_frames.scenarios import CALM, ESP12, MOTOROLA, SIGNALS
 
 OF_A_CAR = f"""{ESP12}
 BO_ 1311 ESP13: 4 VMC
  SG_ LAT_ACCEL : 7|16@0- (0.001,0) [-2|2] "g" EPS
+
+BO_ 1313 ECHO12: 4 VMC
+ SG_ Torque : 7|16@0- (0.1,0) [-3000|3000] "Nm" EPS
+ SG_ Force : 23|16@0- (1,0) [-30000|30000] "N" EPS
 
 BO_ 1312 SAS11: 5 VMC
  SG_ Angle : 16|16@1- (0.1,0) [-3000|3000] "deg" EPS
@@ -127,6 +135,25 @@ def test_two_sensors_of_one_message_share_its_frames_and_their_faults(dbc, tmp_p
     assert yaws[380] != pytest.approx(0.3, abs=0.01)  # unprotected: the last frame counts
     said = database.decode_message(1310, frames[10].data)
     assert said["YAW_RATE"] == pytest.approx(math.degrees(0.3), abs=0.006)
+
+
+def test_a_loop_without_frames_hears_them_too(dbc, tmp_path):
+    """Neither validity nor the tick of the sample is in a frame; both echoes are in one."""
+    sensors = [{"measures": each, "period_s": 0.02, "delay_s": 0.02} for each in ECHOES]
+    roles = {"torque_echo": "ECHO12.Torque", "force_difference_echo": "ECHO12.Force"}
+    faults = [
+        {"kind": "actuator-dead", "channel": "torque", "at_s": 0.1},
+        {"kind": "sensor-invalid", "channel": "torque-echo", "at_s": 0.2},
+    ]
+    more = {
+        "design": {"tau_q_s": 0.015, "alpha_q": 3, "compensation": "on-confirmation"},
+        "reference": {"kind": "sine", "frequency_rad_per_s": 20.0},
+    }
+    chosen = scenario(dbc, roles, sensor=sensors, fault=faults, **more)
+    heard = read_signals(ran(chosen, tmp_path / "run"), network_of(chosen), chosen.tick_s)
+    without = signals_without_log(chosen)
+    for column in ON_THE_BUS:
+        np.testing.assert_array_equal(getattr(heard, column), getattr(without, column), column)
 
 
 def test_a_sensor_without_validity_sends_not_available(dbc, tmp_path):

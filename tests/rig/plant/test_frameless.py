@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from can_rig.logs.columns import ON_THE_BUS
+from can_rig.plant import in_windows
 from can_rig.plant.frameless import frameless, inputs_of
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.signals import read_signals
@@ -92,6 +93,44 @@ def test_any_list_of_faults(seed, tmp_path):
 def test_any_list_of_faults_beside_a_controller_that_hears_the_further_sensors(seed, tmp_path):
     hears = ["controller.kind=tests.rig.nodes.hearing:Hearing", "sensor.1.period_s=0.003"]
     compared(tmp_path, "cluster", *drawn(seed, sensed=True), *hears, "sensor.2.delay_s=0.004")
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        [{"kind": "sensor-lying", "channel": each, "at_s": 0.05} for each in ECHOES],
+        [
+            {"kind": "sensor-swapped", "channel": ECHOES[0], "other": ECHOES[1], "at_s": 0.05},
+            {"kind": "sensor-biased", "channel": "steering-angle", "at_s": 0.3, "offset": 1.0},
+        ],
+        [
+            {"kind": "sensor-late", "channel": "torque-echo", "at_s": 0.05, "late_ticks": 13},
+            {"kind": "sensor-tick-stuck", "channel": "yaw-rate", "at_s": 0.04},
+            {"kind": "sensor-invalid", "channel": "force-difference-echo", "at_s": 0.2},
+        ],
+        [{"kind": "frames-missing", "channel": "torque-echo", "at_s": 0.1, "for_s": 0.3}],
+        [{"kind": RESTARTED, "at_s": 0.15, "for_s": 0.02}],
+        [{"kind": RESTARTED, "at_s": 0.15, "for_s": 0.02, "state_survives": "true"}],
+    ],
+)
+def test_our_law_hears_further_sensors_with_faults(faults, tmp_path):
+    its = ["duration_s=0.5", "sensor.1.delay_s=0.004", "sensor.2.period_s=0.007"]
+    dead = {"kind": "actuator-dead", "channel": "torque", "at_s": 0.1}
+    found = compared(tmp_path, "cluster", *its, *fault_list(dead, *faults))
+    others = fault_list(dead), ["fault.kind=none"]
+    for name, other in zip(("cluster", "default"), others, strict=True):
+        alone = frameless(load(name, ["duration_s=0.5", *other]))
+        assert not np.array_equal(found.fault_state, alone.fault_state)
+
+
+def test_a_loop_in_windows_hears_what_a_whole_one_hears(monkeypatch):
+    monkeypatch.setattr(in_windows, "BLOCK_TICKS", 97)
+    monkeypatch.setattr(in_windows, "WINDOW_TICKS", 194)
+    scenario = load("cluster", ["duration_s=0.7", "fault.at_s=0.3"])
+    whole = frameless(scenario)
+    for ticks, loop, rows in in_windows.blocks_of(scenario):
+        found = loop.trace.evidence[rows]
+        np.testing.assert_array_equal(found, whole.evidence[ticks.start : ticks.stop])
 
 
 def test_a_controller_that_begins_again_knows_no_frame_of_a_sensor(tmp_path):
