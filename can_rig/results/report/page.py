@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
+from matplotlib.ticker import MaxNLocator
 
 from can_rig.assessment.limitations import control_authority
 from can_rig.drawing import style
@@ -342,6 +343,9 @@ def _speed(axis: Axes, signals: Signals) -> None:
     own.plot(*thinned(signals.time_s, speed), color=style.INK, lw=0.9, ls=style.DASHED)
     own.set_ylim(0.0, 1.15 * float(speed.max()) or 1.0)  # a car that stands
     own.tick_params(axis="y", direction="in", pad=-16, labelsize=7)
+    own.yaxis.set_major_locator(MaxNLocator(4, prune="lower"))
+    for label in own.get_yticklabels():  # over the curves
+        label.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5})
     own.annotate(
         "speed in m/s, dashed", (0.0, 1.0), (4, 4), xycoords="axes fraction",
         textcoords="offset points", fontsize=8, annotation_clip=False,
