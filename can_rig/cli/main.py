@@ -10,7 +10,7 @@ from typing import Any, Final, NoReturn
 import click
 from click.shell_completion import CompletionItem
 
-from can_rig.cli.startup import announce_compilation, collect_again, raise_again
+from can_rig.cli.startup import LOST_INTERRUPT, announce_compilation, collect_again, raise_again
 from can_rig.errors import INTERRUPTED, UNREAD, RigError
 
 COMMANDS: Final = {
@@ -84,6 +84,10 @@ class Commands(click.Group):
             sys.stdout = None
             sys.exit(UNREAD)
         except KeyboardInterrupt:  # where no command has taken the signal for a wish to stop
+            sys.exit(INTERRUPTED)
+        except Exception:
+            if not LOST_INTERRUPT.is_set():  # numba fails where a Ctrl-C ends a callback of LLVM
+                raise
             sys.exit(INTERRUPTED)
 
     def make_context(self, *arguments: Any, **keywords: Any) -> click.Context:

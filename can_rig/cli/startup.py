@@ -19,6 +19,7 @@ from contextlib import contextmanager, suppress
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from importlib.util import LazyLoader
 from types import ModuleType
+from typing import Final
 
 from can_rig.errors import INTERRUPTED, UNREAD, RigError, one_line
 
@@ -37,12 +38,17 @@ def raise_again() -> None:
         sys.unraisablehook = _interrupt_later
 
 
+LOST_INTERRUPT: Final = threading.Event()
+"""Set where Python has dropped a Ctrl-C: what fails next may fail by the Ctrl-C."""
+
+
 def _interrupt_later(lost: "sys.UnraisableHookArgs") -> None:
     """Python drops what a destructor or a callback of C raises, a Ctrl-C too: raise it once more.
 
     The thread gives the main thread time to leave the destructor.
     """
     if isinstance(lost.exc_value, KeyboardInterrupt):
+        LOST_INTERRUPT.set()
         threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGINT)).start()
     else:
         sys.__unraisablehook__(lost)

@@ -104,6 +104,36 @@ except KeyboardInterrupt:
 """
 
 
+FAILS_BY_CTRL_C = (
+    SWALLOWED.partition("try:")[0]
+    + """
+import click
+from can_rig.cli.main import Commands
+
+class One(Commands):
+    def get_command(self, ctx, name):
+        return click.Command(name, callback=fail)
+
+def fail():
+    global interrupted
+    del interrupted
+    raise RuntimeError("no compiled object yet")
+
+One().main(["check"])
+"""
+)
+
+
+def test_what_fails_by_a_ctrl_c_in_a_callback_is_no_traceback():
+    """Numba raises another error where Python drops the Ctrl-C in a callback of LLVM."""
+    command = [sys.executable, "-c", FAILS_BY_CTRL_C]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    usual = FAILS_BY_CTRL_C.replace("interrupted = Interrupted()", "interrupted = None")
+    done = subprocess.run([*command[:2], usual], check=False, capture_output=True, timeout=60)
+    assert done.returncode == 1 and b"no compiled object yet" in done.stderr
+
+
 def test_ctrl_c_in_a_destructor_is_neither_lost_nor_a_traceback():
     """Python would print the exception, and go on."""
     command = [sys.executable, "-c", SWALLOWED]
