@@ -192,10 +192,10 @@ class _OnFirstCall:
     def _new(self) -> Any:
         settings: Any = config
         made: Any = njit(**self._options)(self.py_func)
-        folder = _folder(Path(inspect.getfile(self.py_func)))
-        before, settings.CACHE_DIR = settings.CACHE_DIR, folder  # the process's
+        before = settings.CACHE_DIR  # the process's
         try:
-            with suppress(RuntimeError):  # no folder for the cache
+            with suppress(OSError, RuntimeError):  # no file of the source, or none for the cache
+                settings.CACHE_DIR = _folder(Path(inspect.getfile(self.py_func)))
                 made._cache = _Cache(self.py_func, allocates=self._options["_nrt"])
         finally:
             settings.CACHE_DIR = before

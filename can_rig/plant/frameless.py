@@ -91,9 +91,18 @@ class Outside:
             noise=noise,
             bias=self._faults.bias(window),
             delivery=delivered,
-            faults=_with_replaced(self._faults.rows(window), delivered, len(window)),
+            faults=self._rows(window, delivered),
             speed=speed,
         )
+
+    def _rows(self, window: range, delivered: Delivery) -> FloatArray:
+        """The rows of ``hardware`` with the values of other frames: for each window or for none."""
+        rows = self._faults.rows(window)
+        if self._delivery.replaced and not len(rows):
+            rows = np.tile(HEALTHY, (len(window), len(PLACES), 1))
+        for (tick, place), value in delivered.replaced.items():
+            rows[tick, place, REPLACED], rows[tick, place, BY] = 1.0, value
+        return rows
 
     def _delivered(self, window: range) -> Delivery:
         of_run = self._delivery
@@ -117,17 +126,6 @@ def _part(values: Values, window: range) -> Values:
     if len(part) < len(window):
         part = np.concatenate([part, np.repeat(part[-1:], len(window) - len(part), axis=0)])
     return part
-
-
-def _with_replaced(rows: FloatArray, delivered: Delivery, ticks: int) -> FloatArray:
-    """The rows of ``hardware`` with the values of other frames."""
-    if not delivered.replaced:
-        return rows
-    if not len(rows):
-        rows = np.tile(HEALTHY, (ticks, len(PLACES), 1))
-    for (tick, place), value in delivered.replaced.items():
-        rows[tick, place, REPLACED], rows[tick, place, BY] = 1.0, value
-    return rows
 
 
 def inputs_of(scenario: Scenario, network: Network) -> Inputs:

@@ -75,6 +75,14 @@ def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch):
     assert len(numba.typeof(function).dispatcher.overloads) == 1
 
 
+def test_a_function_of_no_file_is_compiled(monkeypatch):
+    """As in a notebook, or from standard input."""
+    monkeypatch.setattr(config, "DISABLE_JIT", 0)
+    known: dict[str, Any] = {}
+    exec(compile("def four(): return 4", "<stdin>", "exec"), known)
+    assert compiled.firmware(known["four"])() == 4
+
+
 def test_only_a_whole_run_lets_go_of_the_lock(monkeypatch):
     """A tick of a node keeps the lock: releasing costs a wait for the next owner."""
     monkeypatch.setattr(config, "DISABLE_JIT", 0)

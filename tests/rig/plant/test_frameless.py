@@ -123,10 +123,14 @@ def test_our_law_hears_further_sensors_with_faults(faults, tmp_path):
         assert not np.array_equal(found.fault_state, alone.fault_state)
 
 
-def test_a_loop_in_windows_hears_what_a_whole_one_hears(monkeypatch):
+@pytest.mark.parametrize("at_s", [0.1, 0.5])
+@pytest.mark.parametrize("kind", ["actuator-dead", "frames-forged"])
+def test_a_loop_in_windows_is_the_whole_one(kind, at_s, monkeypatch):
+    """Also where the values of other frames come in some windows only."""
     monkeypatch.setattr(in_windows, "BLOCK_TICKS", 97)
     monkeypatch.setattr(in_windows, "WINDOW_TICKS", 194)
-    scenario = load("cluster", ["duration_s=0.7", "fault.at_s=0.3"])
+    fault = {"kind": kind, "channel": "torque", "at_s": at_s, "for_s": 0.05, "value": 9.0}
+    scenario = load("cluster", ["duration_s=0.7", *fault_list(fault)])
     whole = frameless(scenario)
     for ticks, loop, rows in in_windows.blocks_of(scenario):
         found = loop.trace.evidence[rows]
