@@ -73,6 +73,10 @@ class Senses:
         ]
         timing = [each.timing(scenario.tick_s) for each in self._sensors]
         self.delays: Final = [delay for _, _, delay in timing]
+        self.echoed: Final = [
+            ECHOES.index(each.measures) if each.measures in ECHOES else 0 for each in self._sensors
+        ]
+        """The channel whose command a lying echo says."""
         self.constants: Final[Any] = (
             np.array(timing, np.int64).reshape(len(timing), 3),
             np.array([each.step for each in self._sensors]),
@@ -112,10 +116,6 @@ class SensesByTick:
         self, scenario: Scenario, codecs: Sequence[MessageCodec], faults: FaultsByTick
     ) -> None:
         self._senses = Senses(scenario, codecs)
-        self._echoed = [
-            ECHOES.index(each.measures) if each.measures in ECHOES else 0
-            for each in scenario.sensors
-        ]
         self._memory = self._senses.memory(faults.latest_ticks)
         r = len(self._senses)
         self._values, self._samples = np.zeros(r), np.zeros(r, np.int64)
@@ -138,7 +138,7 @@ class SensesByTick:
             told: the commands that a lying echo says instead.
         """
         now = self._faults.at(tick)
-        echoed = np.array([told[channel] for channel in self._echoed])
+        echoed = np.array([told[channel] for channel in self._senses.echoed])
         sense(
             tick, truth, echoed, now.bias_of_witnesses, next(self._noise), now.rows_of_witnesses,
             self._senses.constants, self._memory, self._values, self._samples, self._states,
@@ -243,7 +243,7 @@ class AllSamples:
         ]
         self._fixed = (
             np.array(heard, np.int64),
-            np.array([ECHOES.index(each) if each in ECHOES else 0 for each in sensors], np.int64),
+            np.array(self._senses.echoed, np.int64),
             np.array([SAMPLE_TICKS if codec.modes else 1 for codec in codecs]),
             self._senses.constants,
         )

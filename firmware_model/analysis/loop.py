@@ -142,18 +142,10 @@ def run_hearing(
     loop: Any, begin: int, end: int, y: float, read: float, plant: Any, memory: Any, readings: Any,
     sensors: Any,
 ) -> tuple[float, float]:  # fmt: skip
-    """Ticks of a loop with a ``SampledPlant`` whose further sensors the law hears.
+    """``run_ticks`` of a plant whose further sensors the law hears.
 
-    Args:
-        loop: the first seven arguments of ``tick``.
-        begin: the first tick of the loop.
-        end: the tick after the last tick.
-        y: the output of the plant at ``begin``.
-        read: the sensor's reading at ``begin``.
-        plant: the constants of ``follow``.
-        memory: of ``follow``; changed in place.
-        readings: the constants of ``read_witnesses``.
-        sensors: see ``HearsAll.samples_of`` in ``simulation``.
+    ``readings`` has the constants of ``read_witnesses``; for ``sensors`` see
+    ``HearsAll.samples_of`` in ``simulation``.
     """
     tables, controllers, inputs, grid, actuators, signals, states = loop
     left = inputs[3]
