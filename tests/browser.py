@@ -12,14 +12,18 @@ if TYPE_CHECKING:
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
 
+PATIENCE_MS = 90_000
+"""Of every click and expectation: a busy machine compiles and draws slowly."""
+
 
 @pytest.fixture(scope="module")
 def browser():
     """Chromium without a window."""
     if BROWSER is None:
         pytest.skip("NOT TESTED: there is no chromium here (apt-get install chromium)")
-    from playwright.sync_api import sync_playwright
+    from playwright.sync_api import expect, sync_playwright
 
+    expect.set_options(timeout=PATIENCE_MS)
     with sync_playwright() as playwright:
         opened = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
         yield opened
@@ -31,6 +35,7 @@ def page(browser):
     """A page in which no script may fail."""
     errors: list[str] = []
     opened = browser.new_page(viewport={"width": 1280, "height": 800})
+    opened.set_default_timeout(PATIENCE_MS)
     opened.on("pageerror", lambda error: errors.append(str(error)))
     yield opened
     opened.close()

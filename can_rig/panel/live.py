@@ -24,6 +24,7 @@ from can_rig.logs.columns import EVIDENCE
 from can_rig.plant.faults.injection import injected
 from can_rig.results.isolation import Reasoning, in_words
 from can_rig.results.signals import CODES, ROLE_COLUMNS, SignalRows
+from can_rig.results.state_changes import Event, StateChanges
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import held_input
@@ -203,6 +204,8 @@ class LiveSignals:
         self._status = network.status
         names, says = names_of(scenario.plant), bool(network.status.verdicts)
         self._verdicts = {int(v): in_words(v, names) for v in Verdict if says}
+        self._changes = StateChanges(names, network)
+        self._changed: list[Event] = []
         self._rows = SignalRows(network, scenario.tick_s, max(1, scenario.latency_ticks))
         bucket = max(1, round(BUCKET_S / scenario.tick_s))
         self._decimator = Decimator(bucket, len(COLUMNS))
@@ -252,12 +255,19 @@ class LiveSignals:
             [self._row(tick, *row) for tick, row in enumerate(self._rows.take_complete(), first)]
         ).reshape(-1, len(COLUMNS))
         self._note(rows, bits, now_s)
+        for state, column in (("fault state", FAULT_STATE), ("whose fault", VERDICT)):
+            self._changed += self._changes.of(state, rows[:, 0], rows[:, column])
         return self._decimator.take(rows)
 
     def taken_commands(self) -> list[tuple[float, operator_frames.Command]]:
         """Commands to the plant node since the last call, each with its first time of effect."""
         taken, self._taken = self._taken, []
         return taken
+
+    def state_changes(self) -> list[Event]:
+        """Changes of the fault state and the verdict since the last call, each at its tick."""
+        changed, self._changed = self._changed, []
+        return sorted(changed, key=lambda event: event.time_s)
 
     def heard_frames(self) -> list[tuple[float, can.Message]]:
         """The frames since the last call, each with the time of its tick in s."""

@@ -44,8 +44,11 @@ HISTORY: Final = 20_000
 MOST_FRAMES: Final = 5_000
 """The last frames, for a browser that begins to show frames."""
 
+MOST_EVENTS: Final = 200
+"""The last events, of which the page shows as many."""
+
 MOST_WAITING: Final = 60
-"""Messages that wait for one browser, a second of them; then the oldest goes."""
+"""Messages that wait for one browser, a second of them; then the oldest rows or frames go."""
 
 STUCK_S: Final = 10.0
 """After which a browser that takes nothing at all is given up."""
@@ -62,12 +65,20 @@ class Viewer:
         self.may_touch = may_touch
         self.kinds: int | None = None
         """Known kinds of frames; None: the browser shows no frames."""
-        self._waiting: deque[bytes | str] = deque(maxlen=MOST_WAITING)
+        self._waiting: list[tuple[bytes | str, bool]] = []
         self._some = asyncio.Event()
 
-    def offer(self, message: bytes | str) -> None:
-        """Queue ``message`` for this browser."""
-        self._waiting.append(message)
+    def offer(self, message: bytes | str, may_drop: bool = False) -> None:
+        """Queue ``message`` for this browser.
+
+        A browser that falls behind loses the oldest messages that ``may_drop``: rows, frames and
+        lamps. Events and answers to orders always arrive.
+        """
+        self._waiting.append((message, may_drop))
+        if len(self._waiting) > MOST_WAITING:
+            oldest = next((i for i, (_, drop) in enumerate(self._waiting) if drop), None)
+            if oldest is not None:
+                del self._waiting[oldest]
         self._some.set()
 
     async def send_on(self) -> None:
@@ -77,7 +88,8 @@ class Viewer:
                 await self._some.wait()
                 self._some.clear()
                 while self._waiting:
-                    await asyncio.wait_for(self._send(self._waiting.popleft()), STUCK_S)
+                    message, _ = self._waiting.pop(0)
+                    await asyncio.wait_for(self._send(message), STUCK_S)
         await self.close()
 
     async def close(self) -> None:
@@ -121,8 +133,8 @@ class Screen:
         self._updates = 0
         self._end: asyncio.Task[None] | None = None
         self._starting = asyncio.Lock()
-        self.events: list[dict[str, Any]] = []
-        """What the plant node was told, with the time of the run from which it acts."""
+        self._events: deque[dict[str, Any]] = deque(maxlen=MOST_EVENTS)
+        """Commands to the plant node and changes of the state, each with its time of the run."""
         self._frames: deque[tuple[float, can.Message]] = deque(maxlen=MOST_FRAMES)
         self._kinds: Kinds | None = None
 
@@ -142,7 +154,7 @@ class Screen:
         if described[viewer.kinds :]:
             viewer.offer(json.dumps({"kinds": described[viewer.kinds :]}))
         viewer.kinds = len(described)
-        viewer.offer(packed)
+        viewer.offer(packed, may_drop=True)
 
     def welcome(self, viewer: Viewer) -> None:
         """Send a browser the history of the run."""
@@ -151,10 +163,10 @@ class Screen:
             viewer.offer(batch(np.concatenate(list(self._history))))
         self.viewers.add(viewer)
 
-    def offer(self, message: bytes | str) -> None:
+    def offer(self, message: bytes | str, may_drop: bool = False) -> None:
         """Queue ``message`` for every browser."""
         for viewer in self.viewers:
-            viewer.offer(message)
+            viewer.offer(message, may_drop)
 
     async def say_goodbye(self, _app: web.Application) -> None:
         """End all connections at the end of the server."""
@@ -176,7 +188,7 @@ class Screen:
         self.session = session
         self._history.clear()
         self._kept = 0
-        self.events = []
+        self._events.clear()
         self._frames.clear()
         self._kinds = None
         for viewer in self.viewers:
@@ -192,7 +204,7 @@ class Screen:
             "tick_s": session.scenario.tick_s,
             "duration_s": session.scenario.duration_s,
             "columns": COLUMNS,
-            "events": self.events,
+            "events": list(self._events),
             **setup(session.scenario, network_of(session.scenario), session.live.confirm),
         }
         permission = {} if may_touch is None else {"may_touch": may_touch}
@@ -212,10 +224,13 @@ class Screen:
             self.show(self.session)
         live = self.session.live
         rows = live.update()
-        for time_s, command in live.taken_commands():
-            event = {"time_s": time_s, **command._asdict()}
-            self.events.append(event)
-            self.offer(json.dumps({"event": event}))
+        events = [
+            *({"time_s": time_s, **told._asdict()} for time_s, told in live.taken_commands()),
+            *({"action": "STATE", **changed._asdict()} for changed in live.state_changes()),
+        ][-MOST_EVENTS:]
+        if events:
+            self._events.extend(events)
+            self.offer(json.dumps({"events": events}))
         heard = live.heard_frames()
         self._frames.extend(heard)
         for viewer in self.viewers if heard else ():
@@ -227,11 +242,11 @@ class Screen:
             while self._kept > HISTORY:
                 self._kept -= len(self._history.popleft())
             if self.viewers:
-                self.offer(batch(rows))
+                self.offer(batch(rows), may_drop=True)
         self._updates += 1
         if self._updates % LAMPS_EVERY == 0 and self.viewers:
             state = self.session.state()._asdict()
-            self.offer(json.dumps({"lamps": asdict(live.lamps), "state": state}))
+            self.offer(json.dumps({"lamps": asdict(live.lamps), "state": state}), may_drop=True)
 
     async def obey(self, order: dict[str, Any]) -> None:
         """Execute a request of the page.

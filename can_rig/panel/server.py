@@ -76,6 +76,9 @@ UPDATES_PER_S: Final = 60
 MOST_BYTES: Final = 4096
 """Of an order."""
 
+HEARTBEAT_S: Final = 60.0
+"""Between two questions whether a browser is there; a busy one has half of the time to answer."""
+
 PAGE: Final = {"": "index.html", "panel.js": "panel.js"}
 BENCH: Final = {
     "uplot.js": "uPlot.iife.min.js", "uplot.css": "uPlot.min.css",
@@ -131,7 +134,9 @@ class Server:
     async def _socket(self, request: web.Request) -> web.StreamResponse:
         if not self._access.is_own_origin(request.headers.get("Origin")):
             raise web.HTTPForbidden(text="another Origin than this panel's")
-        socket = web.WebSocketResponse(heartbeat=10.0, max_msg_size=MOST_BYTES, compress=False)
+        socket = web.WebSocketResponse(
+            heartbeat=HEARTBEAT_S, max_msg_size=MOST_BYTES, compress=False
+        )
         await socket.prepare(request)
         may_touch = bool(self._access.may_touch(request.match_info["token"]))
         viewer = Viewer(socket, may_touch and self._screen.session.sends)

@@ -10,13 +10,11 @@ from can_rig.drawing.names import HOW, NUMBERS, Names, in_words, names_of, with_
 from can_rig.frames import operator_frames
 from can_rig.frames.network import Network
 from can_rig.plant.faults.injection import Injection, kinds_of, sizes_of
-from can_rig.results.curves import charts_of, curves_of, in_small_letters
-from can_rig.results.isolation import in_words as in_words_of
+from can_rig.results.curves import charts_of, curves_of
 from can_rig.results.motion import dead_of, setting_of
 from can_rig.scenario.fault_settings import CHANNELS, PLACES, SENSOR, SWAPPED, key_of
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
-from firmware_model.law.status import Verdict
 
 MOVED_BY: Final = 2.0
 """Largest shift of the reference, in amplitudes of the scenario's reference."""
@@ -39,19 +37,11 @@ def setup(scenario: Scenario, network: Network, confirm: float | None) -> dict[s
         "confirm": confirm,
         "places": _places(scenario, names),
         "quick": _quick(names),
-        "marked": _marked(names, network),
         "moved_by": float(f"{MOVED_BY * amplitude:.2g}"),
         "output": names.output._asdict(),
         "scene": setting_of(scenario),
         "dead": dead_of(scenario),
     }
-
-
-def _marked(names: Names, network: Network) -> dict[str, Any]:
-    """The columns of codes whose changes are events: a noun, and the word of each code."""
-    verdicts = {int(each): in_words_of(each, names) for each in Verdict}
-    marked = {"fault_state": ("fault state", in_small_letters(network.status.fault_states))}
-    return marked | ({"verdict": ("whose fault", verdicts)} if network.status.verdicts else {})
 
 
 def _places(scenario: Scenario, names: Names) -> list[dict[str, Any]]:

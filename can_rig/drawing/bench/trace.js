@@ -71,11 +71,18 @@ class Trace {
     this.kinds.push(...kinds.map((kind) => ({ ...kind, names: kind.signals.map((signal) => signal.name.toLowerCase()), text: `${kind.bus} ${kind.identifier} ${kind.name}`.toLowerCase() })));
   }
 
-  // Add the newest frames; whoever looks at the end stays at the end.
+  // Add the newest frames, and show them with the next picture of the page.
   take(frames) {
-    const { scroller } = this, atEnd = scroller.scrollTop + scroller.clientHeight > scroller.scrollHeight - 2 * ROW_PX;
     for (const frame of frames) { this.frames.push(frame); if (this.fits(frame)) this.chosen.push(frame); }
     if (this.frames.length > MOST_LIVE) { this.frames = this.frames.slice(MOST_LIVE / 4); this.choose(); }
+    if (!this.due) requestAnimationFrame(() => this.follow());
+    this.due = true;
+  }
+
+  // Whoever looks at the last row stays at the last row.
+  follow() {
+    const { scroller } = this, atEnd = scroller.scrollTop + scroller.clientHeight > scroller.scrollHeight - 2 * ROW_PX;
+    this.due = false;
     this.size();
     if (atEnd) scroller.scrollTop = scroller.scrollHeight;
     this.show();

@@ -8,7 +8,7 @@ charts.list = element("div");
 $("bar").insertBefore(element("details", { className: "layouts" }, element("summary", { textContent: "Signals" }), charts.list), charts.time);
 const trace = new Trace($("trace"), (t) => charts.mark(t));
 
-let hello = null, mayTouch = false, lamps = {}, state = { name: "connecting", says: "", orders: [] }, rows = [], shaded = [], last = {}, stale = false;
+let hello = null, mayTouch = false, lamps = {}, state = { name: "connecting", says: "", orders: [] }, rows = [], shaded = [], stale = false;
 
 // Curves ---------------------------------------------------------------------------------------
 
@@ -66,14 +66,6 @@ function append(buffer) {
     rows[m].push(reference[i] === null || output[i] === null ? null : reference[i] - output[i]); rows[m + 1].push(hello.confirm);
   }
   const time = rows[0], oldest = time[time.length - 1] - KEPT_S;
-  for (const [name, [noun, words]] of Object.entries(hello.marked)) {
-    const codes = rows[hello.columns.indexOf(name)];
-    for (let i = time.length - n; i < time.length; i++) {
-      if (codes[i] === null || codes[i] === last[name]) continue;
-      if (last[name] !== undefined) addEvent({ time_s: time[i], action: "STATE", text: `${noun}: ${words[codes[i]]}` });
-      last[name] = codes[i];
-    }
-  }
   if (time[0] < oldest - 10) {
     const drop = time.findIndex((t) => t >= oldest);
     rows = rows.map((values) => values.slice(drop)); shaded = [];
@@ -178,7 +170,7 @@ function wire() {
 }
 
 function begin(said) {
-  hello = said; rows = []; shaded = []; last = {}; stale = true; lamps = { ...lamps, silent: [] };
+  hello = said; rows = []; shaded = []; stale = true; lamps = { ...lamps, silent: [] };
   charts.marks = [];
   document.title = `can-rig ${hello.name}`;
   $("name").textContent = hello.name;
@@ -205,7 +197,7 @@ function take(said) {
   if (said.frames) trace.begin([]);
   if (said.kinds) trace.know(said.kinds);
   if (said.lamps) { lamps = said.lamps; state = said.state; showState(); showLamps(); }
-  if (said.event) addEvent(said.event);
+  if (said.events) said.events.forEach(addEvent);
   if (said.refused) $("message").textContent = said.refused;
   if (said.saved) $("message").textContent = `saved as ${said.saved}`;
 }

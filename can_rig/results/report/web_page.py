@@ -6,7 +6,7 @@ The page opens without network: uPlot, the numbers and the look are part of the 
 import html
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -17,12 +17,13 @@ from can_rig.drawing.style import FAR
 from can_rig.frames.network import Network
 from can_rig.logs.columns import SPEED, TRUE_OUTPUT, VERDICT
 from can_rig.results.counterfactual import applied_commands
-from can_rig.results.curves import curves_of, in_small_letters
+from can_rig.results.curves import curves_of
 from can_rig.results.isolation import in_words
 from can_rig.results.metrics import Metrics
 from can_rig.results.motion import scene
 from can_rig.results.report.page import apart, compared_with, counterpart, page_title
 from can_rig.results.signals import Signals
+from can_rig.results.state_changes import Event, StateChanges
 from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.settings import Scenario, leaves
 from can_rig.storage import paged
@@ -116,13 +117,6 @@ CHART_HEIGHT: Final = 150
 """Of a chart of the page, in pixels."""
 
 
-class Event(NamedTuple):
-    """A moment, with its description."""
-
-    time_s: float
-    text: str
-
-
 def events(scenario: Scenario, network: Network, signals: Signals) -> list[Event]:
     """Faults and disturbances from begin to end, and each change of the state, in time order."""
     names = names_of(scenario.plant)
@@ -135,26 +129,12 @@ def events(scenario: Scenario, network: Network, signals: Signals) -> list[Event
             found.append(Event(each.at_s, f"{each.noun} begins: {label}"))
         if each.end_s < end_s:
             found.append(Event(each.end_s, f"{each.noun} ends: {label}"))
-    found += _changes("mode", signals.time_s, signals.mode, in_small_letters(network.status.modes))
-    states = in_small_letters(network.status.fault_states)
-    found += _changes("fault state", signals.time_s, signals.fault_state, states)
+    changes = StateChanges(names, network)
+    found += changes.of("mode", signals.time_s, signals.mode)
+    found += changes.of("fault state", signals.time_s, signals.fault_state)
     if VERDICT in signals.whose_fault:
-        words = {int(verdict): in_words(verdict, names) for verdict in Verdict}
-        found += _changes("whose fault", signals.time_s, signals.whose_fault[VERDICT], words)
+        found += changes.of("whose fault", signals.time_s, signals.whose_fault[VERDICT])
     return sorted(found, key=lambda event: event.time_s)
-
-
-def _changes(
-    name: str, time_s: FloatArray, codes: FloatArray, words: Mapping[int, str]
-) -> Iterator[Event]:
-    last = np.nan
-    for rows in paged.blocks(len(codes)):
-        known = rows.start + np.flatnonzero(np.isfinite(codes[rows]))
-        changed = np.flatnonzero(np.diff(codes[known], prepend=last) != 0.0)
-        for row in known[changed].tolist():
-            code = int(codes[row])
-            yield Event(float(time_s[row]), f"{name}: {words.get(code, code)}")
-        last = codes[known[-1]] if len(known) else last
 
 
 STYLE: Final = """

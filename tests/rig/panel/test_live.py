@@ -14,6 +14,7 @@ from can_rig.results.isolation import with_verdict
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
+from firmware_model.law.status import FaultState, Verdict
 from firmware_model.law.structs import FloatArray
 from tests.helpers import load, record
 
@@ -76,6 +77,23 @@ def test_a_command_is_shown_with_the_time_from_which_it_acts(tmp_path):
     live, _ = heard(scenario, sent)
     assert live.taken_commands() == [(pytest.approx(50 * scenario.tick_s), dead)]
     assert live.taken_commands() == []
+
+
+@pytest.mark.parametrize(
+    "not_heard", [0, 1, 3, 8, 13, 15]
+)  # where the screen's pairs of rows begin
+def test_a_change_of_the_state_has_the_time_of_its_tick(not_heard, tmp_path):
+    log, _, scenario = record(tmp_path, "duration_s=0.3", "fault.at_s=0.2", name="ideal")
+    signals = read_signals(log, network_of(scenario), scenario.tick_s)
+    sent = [each for each in can.LogReader(log) if each.timestamp >= not_heard * scenario.tick_s]
+    live, _ = heard(scenario, sent)
+    at_s = {event.text: event.time_s for event in live.state_changes()}
+    for text, codes, code in (
+        ("fault state: confirmed", signals.fault_state, FaultState.CONFIRMED),
+        ("whose fault: steering torque lost", signals.verdict, Verdict.TORQUE_LOST),
+    ):
+        assert at_s[text] == signals.time_s[codes == code][0]
+    assert live.state_changes() == []
 
 
 def test_the_number_of_the_next_command_does_not_wait():

@@ -156,22 +156,40 @@ def test_a_server_that_ends_says_so_to_who_looks(run):
     run(test)
 
 
-def test_a_browser_that_takes_nothing_loses_the_oldest_and_holds_nothing_up():
-    class Stuck:
+def test_a_browser_that_takes_nothing_loses_the_oldest_rows_and_no_event():
+    class Slow:
         closed = False
 
-        async def send_str(self, _message):
-            await asyncio.Event().wait()
+        def __init__(self):
+            self.goes_on, self.received = asyncio.Event(), []
+
+        async def send_bytes(self, message):
+            await self.goes_on.wait()
+            self.received.append(message)
+
+        send_str = send_bytes
 
     async def test():
-        viewer = Viewer(Stuck(), may_touch=False)
+        browser = Slow()
+        viewer = Viewer(browser, may_touch=False)
         sending = asyncio.create_task(viewer.send_on())
-        for number in range(10 * MOST_WAITING):
-            viewer.offer(str(number))  # never waits
+        rows = [b"%d" % number for number in range(10 * MOST_WAITING)]
+        events = [f"event {number}" for number in range(MOST_WAITING // 2)]
+        for number, row in enumerate(rows):
+            if number % 20 == 1:
+                viewer.offer(events[number // 20])  # never waits
+            viewer.offer(row, may_drop=True)
             await asyncio.sleep(0)
-        assert len(viewer._waiting) == MOST_WAITING
-        assert viewer._waiting[-1] == str(10 * MOST_WAITING - 1)
+        browser.goes_on.set()
+        received = browser.received
+        while rows[-1] not in received:
+            await asyncio.sleep(0)
         sending.cancel()
+        assert [each for each in received if each in events] == events
+        kept = [each for each in received if each in rows]
+        assert kept[0] == rows[0]  # was on its way
+        assert kept[1:] == rows[len(rows) - len(kept) + 1 :]
+        assert len(events) + len(kept) == MOST_WAITING + 1
 
     asyncio.run(test())
 
