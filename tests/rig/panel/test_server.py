@@ -14,6 +14,7 @@ from aiohttp.test_utils import TestClient, TestServer
 
 from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError
+from can_rig.panel.live import HOLD
 from can_rig.panel.screen import MOST_WAITING, Screen, Viewer, batch, save
 from can_rig.panel.server import Access, Server
 from can_rig.panel.session import Session
@@ -156,21 +157,24 @@ def test_a_server_that_ends_says_so_to_who_looks(run):
     run(test)
 
 
+class Browser:
+    """The end of a socket in a browser, which takes messages while it is not busy."""
+
+    closed = False
+
+    def __init__(self):
+        self.is_free, self.received = asyncio.Event(), []
+
+    async def send_bytes(self, message):
+        await self.is_free.wait()
+        self.received.append(message)
+
+    send_str = send_bytes
+
+
 def test_a_browser_that_takes_nothing_loses_the_oldest_rows_and_no_event():
-    class Slow:
-        closed = False
-
-        def __init__(self):
-            self.goes_on, self.received = asyncio.Event(), []
-
-        async def send_bytes(self, message):
-            await self.goes_on.wait()
-            self.received.append(message)
-
-        send_str = send_bytes
-
     async def test():
-        browser = Slow()
+        browser = Browser()
         viewer = Viewer(browser, may_touch=False)
         sending = asyncio.create_task(viewer.send_on())
         rows = [b"%d" % number for number in range(10 * MOST_WAITING)]
@@ -180,16 +184,57 @@ def test_a_browser_that_takes_nothing_loses_the_oldest_rows_and_no_event():
                 viewer.offer(events[number // 20])  # never waits
             viewer.offer(row, may_drop=True)
             await asyncio.sleep(0)
-        browser.goes_on.set()
-        received = browser.received
-        while rows[-1] not in received:
+        browser.is_free.set()
+        while rows[-1] not in browser.received:
             await asyncio.sleep(0)
         sending.cancel()
-        assert [each for each in received if each in events] == events
-        kept = [each for each in received if each in rows]
+        assert [each for each in browser.received if each in events] == events
+        kept = [each for each in browser.received if each in rows]
         assert kept[0] == rows[0]  # was on its way
         assert kept[1:] == rows[len(rows) - len(kept) + 1 :]
         assert len(events) + len(kept) == MOST_WAITING + 1
+
+    asyncio.run(test())
+
+
+def test_a_browser_gets_events_once_and_one_that_comes_late_gets_them_all(tmp_path):
+    log, _, scenario = record(tmp_path, "duration_s=0.3", "fault.at_s=0.2", name="ideal")
+
+    async def test():
+        session = Session("virtual:events", scenario, "ideal")
+        screen = Screen(session, [], None)
+
+        async def looking(*, late):
+            """What a browser receives, of which the first is the setup of the page."""
+            browser = Browser()
+            browser.is_free.set()
+            viewer = Viewer(browser, may_touch=False)
+            screen.welcome(viewer)
+            sending = asyncio.create_task(viewer.send_on())
+            if not late:
+                for frame in can.LogReader(log):
+                    session.live.frames.on_message_received(frame)
+            for _ in range(2 * HOLD):
+                screen.update()
+                await asyncio.sleep(0.001)
+            sending.cancel()
+            hello, *later = browser.received
+            told = [json.loads(each) for each in later if isinstance(each, str)]
+            rows = [each for each in later if isinstance(each, bytes)]
+            return json.loads(hello)["hello"]["events"], told, rows
+
+        none, told, rows = await looking(late=False)
+        events = [event for each in told for event in each.get("events", [])]
+        assert none == []
+        assert any("fault state: confirmed" in event["text"] for event in events)
+        assert [each for each in told if "lamps" in each]
+        assert rows
+        all_of_them, told, _ = await looking(late=True)
+        assert all_of_them == events
+        assert not [each for each in told if "events" in each]
+        screen.show(session)
+        assert (await looking(late=True))[0] == []
+        session.close()
 
     asyncio.run(test())
 
