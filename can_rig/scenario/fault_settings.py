@@ -84,7 +84,7 @@ NUMBER: Final = {
 }
 """The key of each kind's number, for kinds with a number."""
 
-WHERE_IT_IS: Final = ("actuator-stuck", "sensor-stuck")
+OPTIONAL_NUMBER: Final = ("actuator-stuck", "sensor-stuck")
 """Kinds with an optional number."""
 
 OF_ECHOES: Final = ("sensor-lying",)
@@ -152,7 +152,7 @@ class FaultSettings(Spell):
     state_survives: bool = False
 
     def __post_init__(self) -> None:
-        needed = None if self.kind in WHERE_IT_IS else NUMBER.get(self.kind)
+        needed = None if self.kind in OPTIONAL_NUMBER else NUMBER.get(self.kind)
         if needed is not None and getattr(self, needed) is None:
             raise ValueError(f"{needed}: must be set for {self.kind!r}")
         if self.kind.startswith("actuator-") and self.channel not in CHANNELS:

@@ -116,7 +116,7 @@ function addEvent(event) {
   const of = hello.places.find((each) => each.place === event.place), kind = of && of.kinds.find((each) => each.kind === event.kind);
   const parts = [of && of.words, kind ? kind.words : event.kind, typeof event.value === "number" && (kind && kind.value ? `${kind.value.split(/[ ,]/)[0]} ` : "") + shown(event.value), event.duration_s && `for ${shown(event.duration_s)} s`];
   const words = parts.filter(Boolean).join(" ");
-  const item = element("li", { textContent: `${event.time_s.toFixed(2)} s  ${event.text || `${event.action.toLowerCase().replace("_", " ")} ${words}`}` });
+  const item = element("li", { textContent: `${event.time_s.toFixed(3)} s  ${event.text || `${event.action.toLowerCase().replace("_", " ")} ${words}`}` });
   $("events").append(item); $("events").scrollTop = 1e6;
   if ($("events").childElementCount > MOST_EVENTS) $("events").firstElementChild.remove();
   if (event.action === "INJECT") scene.dead.push({ place: event.place, begin: event.time_s, end: event.duration_s ? event.time_s + event.duration_s : null, words });

@@ -1,6 +1,7 @@
 """The effects of scheduled faults on the actuators and the sensors, for any part of a run.
 
-Overlapping faults act in the scenario's order. ``frame_faults`` has the faults of frames.
+Overlapping faults act in the scenario's order; a rate limit, and then a stuck last value, act after
+all others. ``frame_faults`` has the faults of frames.
 """
 
 import math
