@@ -204,7 +204,7 @@ class LiveSignals:
         self._status = network.status
         names, says = names_of(scenario.plant), bool(network.status.verdicts)
         self._verdicts = {int(v): in_words(v, names) for v in Verdict if says}
-        self._changes = StateChanges(names, network)
+        self._changes = StateChanges(names, network, first=False)
         self._changed: list[Event] = []
         self._rows = SignalRows(network, scenario.tick_s, max(1, scenario.latency_ticks))
         bucket = max(1, round(BUCKET_S / scenario.tick_s))

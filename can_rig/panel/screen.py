@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -44,11 +45,14 @@ HISTORY: Final = 20_000
 MOST_FRAMES: Final = 5_000
 """The last frames, for a browser that begins to show frames."""
 
-MOST_EVENTS: Final = 200
-"""The last events, of which the page shows as many."""
+MOST_CHANGES: Final = 200
+"""The last changes of the state, for a browser that comes late; the page shows as many events."""
 
-MOST_WAITING: Final = 60
-"""Messages that wait for one browser, a second of them; then the oldest rows or frames go."""
+MOST_NEWS: Final = 60
+"""Rows, frames and lamps that wait for one browser, a second of them; then the oldest go."""
+
+MOST_KEPT: Final = 1000
+"""Other messages that wait for one browser; with more, the connection ends."""
 
 STUCK_S: Final = 10.0
 """After which a browser that takes nothing at all is given up."""
@@ -65,32 +69,41 @@ class Viewer:
         self.may_touch = may_touch
         self.kinds: int | None = None
         """Known kinds of frames; None: the browser shows no frames."""
-        self._waiting: list[tuple[bytes | str, bool]] = []
+        self._count = 0
+        self._kept: deque[tuple[int, bytes | str]] = deque()
+        self._news: deque[tuple[int, bytes | str]] = deque(maxlen=MOST_NEWS)
         self._some = asyncio.Event()
+        self._given_up = False
 
     def offer(self, message: bytes | str, may_drop: bool = False) -> None:
         """Queue ``message`` for this browser.
 
-        A browser that falls behind loses the oldest messages that ``may_drop``: rows, frames and
-        lamps. Events and answers to orders always arrive.
+        A browser that falls behind loses the oldest messages that ``may_drop``: rows, frames, lamps
+        and refusals. Other messages arrive, unless too many wait: then the connection ends.
         """
-        self._waiting.append((message, may_drop))
-        if len(self._waiting) > MOST_WAITING:
-            oldest = next((i for i, (_, drop) in enumerate(self._waiting) if drop), None)
-            if oldest is not None:
-                del self._waiting[oldest]
+        if self._given_up:
+            return
+        self._given_up = len(self._kept) >= MOST_KEPT
+        self._count += 1
+        (self._news if may_drop else self._kept).append((self._count, message))
         self._some.set()
 
     async def send_on(self) -> None:
         """Send queued messages until the connection ends or stalls for too long."""
         with suppress(ConnectionError, TimeoutError):
-            while not self.socket.closed:
+            while not (self.socket.closed or self._given_up):
                 await self._some.wait()
                 self._some.clear()
-                while self._waiting:
-                    message, _ = self._waiting.pop(0)
+                while (message := self._next()) is not None:
                     await asyncio.wait_for(self._send(message), STUCK_S)
         await self.close()
+
+    def _next(self) -> bytes | str | None:
+        """Remove and return the oldest message; None: no message waits."""
+        waiting = [queue for queue in (self._kept, self._news) if queue]
+        if not waiting or self._given_up:
+            return None
+        return min(waiting, key=lambda queue: queue[0][0]).popleft()[1]
 
     async def close(self) -> None:
         """End the connection, whether the browser answers or not."""
@@ -133,8 +146,10 @@ class Screen:
         self._updates = 0
         self._end: asyncio.Task[None] | None = None
         self._starting = asyncio.Lock()
-        self._events: deque[dict[str, Any]] = deque(maxlen=MOST_EVENTS)
-        """Commands to the plant node and changes of the state, each with its time of the run."""
+        self._commands: list[dict[str, Any]] = []
+        """Commands to the plant node, each with the time of the run from which the command acts."""
+        self._changes: deque[dict[str, Any]] = deque(maxlen=MOST_CHANGES)
+        """Changes of the state."""
         self._frames: deque[tuple[float, can.Message]] = deque(maxlen=MOST_FRAMES)
         self._kinds: Kinds | None = None
 
@@ -188,7 +203,8 @@ class Screen:
         self.session = session
         self._history.clear()
         self._kept = 0
-        self._events.clear()
+        self._commands.clear()
+        self._changes.clear()
         self._frames.clear()
         self._kinds = None
         for viewer in self.viewers:
@@ -204,7 +220,7 @@ class Screen:
             "tick_s": session.scenario.tick_s,
             "duration_s": session.scenario.duration_s,
             "columns": COLUMNS,
-            "events": list(self._events),
+            "events": sorted([*self._commands, *self._changes], key=itemgetter("time_s")),
             **setup(session.scenario, network_of(session.scenario), session.live.confirm),
         }
         permission = {} if may_touch is None else {"may_touch": may_touch}
@@ -224,13 +240,12 @@ class Screen:
             self.show(self.session)
         live = self.session.live
         rows = live.update()
-        events = [
-            *({"time_s": time_s, **told._asdict()} for time_s, told in live.taken_commands()),
-            *({"action": "STATE", **changed._asdict()} for changed in live.state_changes()),
-        ][-MOST_EVENTS:]
-        if events:
-            self._events.extend(events)
-            self.offer(json.dumps({"events": events}))
+        commands = [{"time_s": time_s, **told._asdict()} for time_s, told in live.taken_commands()]
+        changes = [{"action": "STATE", **each._asdict()} for each in live.state_changes()]
+        if commands or changes:
+            self._commands += commands
+            self._changes.extend(changes)
+            self.offer(json.dumps({"events": [*commands, *changes[-MOST_CHANGES:]]}))
         heard = live.heard_frames()
         self._frames.extend(heard)
         for viewer in self.viewers if heard else ():

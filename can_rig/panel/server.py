@@ -162,9 +162,9 @@ class Server:
                 raise RigError("this address may look only")
             await self._screen.obey(order)
         except RigError as error:
-            viewer.offer(json.dumps({"refused": str(error)}))
+            viewer.offer(json.dumps({"refused": str(error)}), may_drop=True)
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-            viewer.offer(json.dumps({"refused": "not an order of this panel"}))
+            viewer.offer(json.dumps({"refused": "not an order of this panel"}), may_drop=True)
 
     async def _updating(self, _app: web.Application) -> AsyncIterator[None]:
         """While the server runs, tell the browsers what is new, 60 times a second at most."""

@@ -27,9 +27,10 @@ class StateChanges:
     Args:
         names: of the plant's signals, for the verdicts.
         network: the frames, whose value tables have the words.
+        first: whether the first known code is an event too, as at the begin of a run.
     """
 
-    def __init__(self, names: Names, network: Network) -> None:
+    def __init__(self, names: Names, network: Network, first: bool = True) -> None:
         status = network.status
         self._words = {
             "mode": in_small_letters(status.modes),
@@ -37,9 +38,10 @@ class StateChanges:
             "whose fault": {int(verdict): in_words(verdict, names) for verdict in Verdict},
         }
         self._last = dict.fromkeys(self._words, np.nan)
+        self._first = first
 
     def of(self, state: str, time_s: FloatArray, codes: FloatArray) -> Iterator[Event]:
-        """The first known code, and every change after the pieces before; nan: not known.
+        """Every change, after the pieces before; nan: not known.
 
         Args:
             state: ``mode``, ``fault state`` or ``whose fault``.
@@ -49,6 +51,8 @@ class StateChanges:
         words = self._words[state]
         for rows in paged.blocks(len(codes)):
             known = rows.start + np.flatnonzero(np.isfinite(codes[rows]))
+            if len(known) and np.isnan(self._last[state]) and not self._first:
+                self._last[state] = codes[known[0]]
             changed = np.flatnonzero(np.diff(codes[known], prepend=self._last[state]) != 0.0)
             for row in known[changed].tolist():
                 code = int(codes[row])

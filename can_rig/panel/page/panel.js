@@ -117,7 +117,10 @@ function addEvent(event) {
   const parts = [of && of.words, kind ? kind.words : event.kind, typeof event.value === "number" && (kind && kind.value ? `${kind.value.split(/[ ,]/)[0]} ` : "") + shown(event.value), event.duration_s && `for ${shown(event.duration_s)} s`];
   const words = parts.filter(Boolean).join(" ");
   const item = element("li", { textContent: `${event.time_s.toFixed(3)} s  ${event.text || `${event.action.toLowerCase().replace("_", " ")} ${words}`}` });
-  $("events").append(item); $("events").scrollTop = 1e6;
+  item.dataset.time = event.time_s; // a change of the state comes later than a command of its time
+  let next = null;
+  for (let last = $("events").lastElementChild; last && Number(last.dataset.time) > event.time_s; last = last.previousElementSibling) next = last;
+  $("events").insertBefore(item, next); $("events").scrollTop = 1e6;
   if ($("events").childElementCount > MOST_EVENTS) $("events").firstElementChild.remove();
   if (event.action === "INJECT") scene.dead.push({ place: event.place, begin: event.time_s, end: event.duration_s ? event.time_s + event.duration_s : null, words });
   if (event.action === "CLEAR") scene.dead.forEach((d) => { if (["all", d.place].includes(event.place) && (d.end === null || d.end > event.time_s)) d.end = event.time_s; });

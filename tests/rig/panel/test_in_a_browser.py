@@ -56,6 +56,8 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
         for said in ("actuator-dead", "fault state: confirmed")
     )
     assert died < confirmed  # a page on a busy machine sees the confirmation seconds late
+    page.evaluate("addEvent({time_s: 0.0, action: 'STATE', text: 'a change that comes late'})")
+    expect(page.locator("#events li").first).to_have_text(re.compile("a change that comes late"))
     ink = (
         page.locator("#charts canvas")
         .nth(3)

@@ -94,6 +94,8 @@ def test_a_change_of_the_state_has_the_time_of_its_tick(not_heard, tmp_path):
     ):
         assert at_s[text] == signals.time_s[codes == code][0]
     assert live.state_changes() == []
+    after = [each for each in sent if each.timestamp >= 0.25]
+    assert heard(scenario, after)[0].state_changes() == []  # confirmed since before, not now
 
 
 def test_the_number_of_the_next_command_does_not_wait():

@@ -15,7 +15,7 @@ from aiohttp.test_utils import TestClient, TestServer
 from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError
 from can_rig.panel.live import HOLD
-from can_rig.panel.screen import MOST_WAITING, Screen, Viewer, batch, save
+from can_rig.panel.screen import MOST_KEPT, MOST_NEWS, Screen, Viewer, batch, save
 from can_rig.panel.server import Access, Server
 from can_rig.panel.session import Session
 from can_rig.scenario.loading import load
@@ -171,14 +171,17 @@ class Browser:
 
     send_str = send_bytes
 
+    async def close(self, code):
+        self.closed = True
+
 
 def test_a_browser_that_takes_nothing_loses_the_oldest_rows_and_no_event():
     async def test():
         browser = Browser()
         viewer = Viewer(browser, may_touch=False)
         sending = asyncio.create_task(viewer.send_on())
-        rows = [b"%d" % number for number in range(10 * MOST_WAITING)]
-        events = [f"event {number}" for number in range(MOST_WAITING // 2)]
+        rows = [b"%d" % number for number in range(10 * MOST_NEWS)]
+        events = [f"event {number}" for number in range(MOST_NEWS // 2)]
         for number, row in enumerate(rows):
             if number % 20 == 1:
                 viewer.offer(events[number // 20])  # never waits
@@ -192,7 +195,22 @@ def test_a_browser_that_takes_nothing_loses_the_oldest_rows_and_no_event():
         kept = [each for each in browser.received if each in rows]
         assert kept[0] == rows[0]  # was on its way
         assert kept[1:] == rows[len(rows) - len(kept) + 1 :]
-        assert len(events) + len(kept) == MOST_WAITING + 1
+        assert len(kept) == MOST_NEWS + 1
+
+    asyncio.run(test())
+
+
+def test_a_browser_for_which_too_much_waits_is_given_up():
+    async def test():
+        browser = Browser()
+        viewer = Viewer(browser, may_touch=False)
+        sending = asyncio.create_task(viewer.send_on())
+        for number in range(10 * MOST_KEPT):
+            viewer.offer(f"event {number}")
+        browser.is_free.set()
+        await asyncio.wait_for(sending, 10)
+        assert browser.closed
+        assert len(browser.received) <= 1
 
     asyncio.run(test())
 
