@@ -1,6 +1,7 @@
 """Runs beside the recorded run: without its fault, noise or compensation; the applied commands."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -85,7 +86,7 @@ def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
         scenario = replace(scenario, duration_s=ticks * scenario.tick_s)
     try:
         if scenario.ticks > paged.PAGED_ROWS:
-            return Counterfactual(*(values[first:ticks] for values in _long(scenario)))
+            return Counterfactual(*(values[first:] for values in _long(scenario, ticks)))
         loop = loop_of(scenario)
         loop.run(first + rows)
     except RigError:  # of a controller of one's own
@@ -100,14 +101,21 @@ def _of_loop(scenario: Scenario, loop: Simulation, rows: slice, first: int) -> C
     return Counterfactual(measured, force, car_output(scenario, measured, output, first), output)
 
 
-@remembered(4, by=with_files)
-def _long(scenario: Scenario) -> Counterfactual:
-    """A whole run; its loop is dropped."""
-    columns = Counterfactual(*(paged.empty(scenario.ticks) for _ in Counterfactual._fields))
-    for ticks, loop, rows in blocks_of(scenario):
-        found = _of_loop(scenario, loop, rows, ticks.start)
+def _of_long(scenario: Scenario, ticks: int) -> Iterator[object]:
+    yield from with_files(scenario)
+    yield ticks
+
+
+@remembered(4, by=_of_long)
+def _long(scenario: Scenario, ticks: int) -> Counterfactual:
+    """The first ``ticks`` of a long run, which was perhaps stopped then; its loop is dropped."""
+    columns = Counterfactual(*(paged.empty(ticks) for _ in Counterfactual._fields))
+    for its, loop, rows in blocks_of(scenario):
+        found = _of_loop(scenario, loop, rows, its.start)
         for column, values in zip(columns, found, strict=True):
-            column[ticks.start : ticks.stop] = values
+            column[its.start : its.stop] = values[: ticks - its.start]
+        if its.stop >= ticks:
+            break
     return columns
 
 

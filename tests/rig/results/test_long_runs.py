@@ -11,11 +11,13 @@ import pytest
 
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.plant import in_windows
+from can_rig.results.counterfactual import fault_free
 from can_rig.results.execution import Execution, Options, execute
 from can_rig.scenario.loading import load
 from can_rig.storage import paged
 from can_rig.views.recorded_run import RecordedRun
 from tests.helpers import asked, refused, succeeded
+from tests.rig.results.quiet import quiet
 
 TEXTS = ["bus.log", "bus.plant.csv", "signals.csv"]
 CASES = {
@@ -106,6 +108,24 @@ def test_a_what_if_of_a_long_run_is_that_of_a_short_one(folders, monkeypatch):
     unpacked = gzip.decompress(Path("long/bus.log.gz").read_bytes())
     assert unpacked == Path("short/bus.log").read_bytes()
     assert Path("long/reference.csv").read_bytes() == Path("short/reference.csv").read_bytes()
+
+
+def test_beside_a_long_run_that_was_stopped_no_run_goes_on_to_the_planned_end(monkeypatch):
+    short, planned = (load("default", [f"duration_s={of}", "fault.at_s=0.2"]) for of in (0.7, 3600))
+    signals, ends = quiet(short), []
+    wanted = fault_free(short, signals)
+    long_from(100, monkeypatch)
+    run_some = in_windows.LoopInWindows.run
+
+    def run(loop):
+        ticks = run_some(loop)
+        ends.append(ticks.stop)
+        return ticks
+
+    monkeypatch.setattr(in_windows.LoopInWindows, "run", run)
+    for found, values in zip(fault_free(planned, signals), wanted, strict=True):
+        np.testing.assert_array_equal(found, values)
+    assert 700 <= max(ends) < 700 + in_windows.BLOCK_TICKS
 
 
 def test_a_long_run_is_replaced_as_any_other(folders, tmp_path):
