@@ -1,7 +1,6 @@
 """Runs beside the recorded run: without its fault, noise or compensation; the applied commands."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -101,12 +100,7 @@ def _of_loop(scenario: Scenario, loop: Simulation, rows: slice, first: int) -> C
     return Counterfactual(measured, force, car_output(scenario, measured, output, first), output)
 
 
-def _of_long(scenario: Scenario, ticks: int) -> Iterator[object]:
-    yield from with_files(scenario)
-    yield ticks
-
-
-@remembered(4, by=_of_long)
+@remembered(4, by=lambda scenario, ticks: (*with_files(scenario), ticks))
 def _long(scenario: Scenario, ticks: int) -> Counterfactual:
     """The first ``ticks`` of a long run, which was perhaps stopped then; its loop is dropped."""
     columns = Counterfactual(*(paged.empty(ticks) for _ in Counterfactual._fields))

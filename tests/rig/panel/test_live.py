@@ -79,9 +79,7 @@ def test_a_command_is_shown_with_the_time_from_which_it_acts(tmp_path):
     assert live.taken_commands() == []
 
 
-@pytest.mark.parametrize(
-    "not_heard", [0, 1, 3, 8, 13, 15]
-)  # where the screen's pairs of rows begin
+@pytest.mark.parametrize("not_heard", [0, 1, 3, 8, 13, 15])  # ticks: the screen's pairs differ
 def test_a_change_of_the_state_has_the_time_of_its_tick(not_heard, tmp_path):
     log, _, scenario = record(tmp_path, "duration_s=0.3", "fault.at_s=0.2", name="ideal")
     signals = read_signals(log, network_of(scenario), scenario.tick_s)
